@@ -6,6 +6,7 @@ mod doctor;
 mod init;
 mod journal;
 mod package;
+mod reload;
 mod token;
 mod version;
 
@@ -99,6 +100,8 @@ enum Command {
         #[arg(value_name = "DIRECTORY")]
         directory: PathBuf,
     },
+    /// Make a running gateway read its configuration again, and print the changes
+    Reload(reload::ReloadArgs),
     /// Create, list or revoke the tokens of clients
     Token(token::TokenArgs),
     /// Write a configuration with TLS and a first token, for a gateway on a network
@@ -115,7 +118,7 @@ pub fn run() -> anyhow::Result<()> {
     let cli = Cli::parse();
     let _logs = logging::init(cli.log_format);
     match cli.command {
-        None => daemon::run(&Config::load(&cli.flags)?),
+        None => daemon::run(&cli.flags),
         Some(Command::Sim { urls, model, part_mm, firmware, option, control }) => {
             let mut device = daemon::SimulatedDevice::of_model(&model).map_err(anyhow::Error::msg)?;
             device = device.with("firmware", &firmware).map_err(anyhow::Error::msg)?;
@@ -159,6 +162,11 @@ pub fn run() -> anyhow::Result<()> {
         }
         Some(Command::Journal(journal)) => journal::run(&journal, std::io::stdout().lock()),
         Some(Command::PackageFiles { directory }) => package::write(&directory, Cli::command()),
+        Some(Command::Reload(args)) => {
+            let changes = daemon::runtime()?.block_on(reload::reload(&args))?;
+            let lines: String = changes.iter().map(|change| format!("{change}\n")).collect();
+            quietly(write!(std::io::stdout(), "{lines}"))
+        }
         Some(Command::Token(args)) => token::run(&args, std::io::stdout().lock()),
         Some(Command::Init(args)) => init::run(&args, std::io::stdout().lock()),
         Some(Command::Certificate(args)) => init::certificate(&args, std::io::stdout().lock()),

@@ -100,6 +100,8 @@ pub struct Config {
     pub listen: SocketAddr,
     /// Allowed values of `Host`, besides addresses and `localhost`.
     pub hosts: Vec<String>,
+    /// Origins of foreign pages that can use the API (CORS).
+    pub cors_origins: Vec<String>,
     /// Origins of pages that can show the dashboard in a frame.
     pub frame_ancestors: Vec<String>,
     /// Whether clients need credentials.
@@ -242,7 +244,8 @@ impl Config {
             access,
             tls,
             hosts: content.map(|content| content.hosts.clone()).unwrap_or_default(),
-            frame_ancestors: frame_ancestors(file)?,
+            cors_origins: origins(file, "cors_origins", |content| &content.cors_origins)?,
+            frame_ancestors: origins(file, "frame_ancestors", |content| &content.frame_ancestors)?,
             idle_timeout: idle_timeout(file)?,
             grippers: grippers(flags, file, insecure)?,
             drain: drain(file)?,
@@ -253,19 +256,22 @@ impl Config {
     }
 }
 
-/// Returns the origins of pages that can show the dashboard in a frame.
-fn frame_ancestors(file: Option<&File>) -> Result<Vec<String>, ConfigError> {
+/// Returns a list of origins.
+fn origins(
+    file: Option<&File>,
+    key: &str,
+    list: impl Fn(&Content) -> &Vec<Spanned<String>>,
+) -> Result<Vec<String>, ConfigError> {
     let Some(file) = file else { return Ok(Vec::new()) };
     let origin = |text: &Spanned<String>| {
         let origin = text.get_ref().parse::<url::Url>().ok().map(|url| url.origin().ascii_serialization());
         let is_web = |origin: &String| origin.starts_with("http") && origin == text.get_ref();
         origin.filter(is_web).ok_or_else(|| {
-            let detail =
-                format!("frame_ancestors has {:?}: write an origin such as https://hmi.example", text.get_ref());
+            let detail = format!("{key} has {:?}: write an origin such as https://hmi.example", text.get_ref());
             ConfigError::at(&file.place(text.span().start), detail)
         })
     };
-    file.content.frame_ancestors.iter().map(origin).collect()
+    list(&file.content).iter().map(origin).collect()
 }
 
 fn parse_listen(listen: &Placed<String>) -> Result<Placed<SocketAddr>, ConfigError> {
@@ -311,8 +317,10 @@ fn grippers(flags: &Flags, file: Option<&File>, insecure: bool) -> Result<Vec<Gr
         _ => by_text(&DEFAULT_GRIPPERS.map(str::to_owned), ConfigPlace::Default)?,
     };
     wsg_port::take_flags(&mut configured, &flags.wsg_ports)?;
+    // Without a list of networks, a port accepts only the clients that are known by their addresses.
+    let has_clients = file.is_some_and(|file| file.content.clients.iter().any(access::ClientContent::has_address));
     for gripper in &configured {
-        gripper.wsg_port.check(insecure)?;
+        gripper.wsg_port.check(insecure || has_clients)?;
     }
     for (index, gripper) in configured.iter().enumerate() {
         if let Some(detail) = configured[..index].iter().find_map(|other| conflict(other, gripper)) {
@@ -384,6 +392,7 @@ struct Content {
     insecure: bool,
     insecure_http: bool,
     hosts: Vec<String>,
+    cors_origins: Vec<Spanned<String>>,
     frame_ancestors: Vec<Spanned<String>>,
     access: Option<access::AccessContent>,
     clients: Vec<access::ClientContent>,

@@ -3,7 +3,7 @@
 use std::process::ExitCode;
 
 /// Returns freed memory to the operating system within seconds. After a flood of requests, glibc keeps most of it.
-#[cfg(target_arch = "x86_64")]
+#[cfg(all(feature = "jemalloc", target_arch = "x86_64"))]
 #[global_allocator]
 static ALLOCATOR: tikv_jemallocator::Jemalloc = tikv_jemallocator::Jemalloc;
 

@@ -71,7 +71,9 @@ impl Trends {
         ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
         while closing.run_until_cancelled(ticks.tick()).await.is_some() {
             let now = Now::read().instant;
-            for gripper in grippers.iter() {
+            let grippers = grippers.all();
+            self.all().retain(|name, _| grippers.iter().any(|gripper| gripper.name() == name));
+            for gripper in grippers {
                 self.take(gripper.name(), TrendSample::of(&gripper.state(), now));
             }
         }

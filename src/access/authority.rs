@@ -1,20 +1,19 @@
 //! Identification of clients by their credentials.
 
-use std::net::IpAddr;
 use std::sync::{Arc, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 
-use ipnet::IpNet;
 use jiff::Timestamp;
 use serde::Deserialize;
 
 use super::credential::{Credential, SessionId};
-use super::identity::{Identity, Proof, Scope, Unauthorized};
-use super::role::Role;
-use super::session::Sessions;
+use super::identity::{Identity, Proof, Unauthorized};
+use super::known::{KnownClient, Origin};
+use super::pin::Pin;
+use super::role::{Right, Role};
+use super::session::{Behind, Sessions};
 use super::token::TokenSecret;
 use super::token_file::{FileVersion, StoredToken, TokenFile, TokenFileError, TokenHash, Tokens};
-use crate::gripper::model::Name;
 
 /// Pause before a file of tokens that could not be read is read again.
 const RETRIED_AFTER: Duration = Duration::from_secs(1);
@@ -29,32 +28,40 @@ pub enum FastStopPolicy {
     Credential,
 }
 
-/// A client that its address identifies, since it can send no credential.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct AddressClient {
-    pub name: Name,
-    pub network: IpNet,
-    pub role: Role,
-    pub scope: Scope,
+/// Times after which idle sessions end.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SessionTimes {
+    pub idle: Duration,
+    /// Time after which the rights of a PIN end.
+    pub pin_idle: Duration,
+}
+
+/// Identifies clients, by rules that a reload can change.
+#[derive(Debug, Default)]
+pub struct Access {
+    rules: RwLock<Arc<AccessRules>>,
+    sessions: Sessions,
 }
 
 /// Whether clients need credentials.
 #[derive(Debug, Default)]
-pub enum Access {
+pub enum AccessRules {
     /// Clients need none.
     #[default]
     Open,
-    Guarded(Box<Guard>),
+    Guarded(Guard),
 }
 
 /// The credentials of a gateway.
 #[derive(Debug)]
 pub struct Guard {
     file: TokenFile,
-    clients: Vec<AddressClient>,
+    clients: Vec<KnownClient>,
     fast_stop: FastStopPolicy,
     network_role: Option<Role>,
-    sessions: Sessions,
+    times: SessionTimes,
+    /// Whether the network can read the credentials.
+    is_exposed: bool,
     cached: RwLock<Cached>,
 }
 
@@ -81,12 +88,18 @@ impl Guard {
     /// [`TokenFileError`]
     pub fn new(
         file: TokenFile,
-        clients: Vec<AddressClient>,
+        clients: Vec<KnownClient>,
         (fast_stop, network_role): (FastStopPolicy, Option<Role>),
-        idle_time: Duration,
+        times: SessionTimes,
     ) -> Result<Self, TokenFileError> {
         let cached = RwLock::new(Cached::of(file.read()?));
-        Ok(Self { file, clients, fast_stop, network_role, sessions: Sessions::new(idle_time), cached })
+        Ok(Self { file, clients, fast_stop, network_role, times, is_exposed: false, cached })
+    }
+
+    /// Notes whether the network can read the credentials.
+    #[must_use]
+    pub fn exposed(self, is_exposed: bool) -> Self {
+        Self { is_exposed, ..self }
     }
 
     /// Returns the tokens of the file. A file that cannot be read any more keeps its last content.
@@ -119,53 +132,92 @@ impl Guard {
         Ok((hash, Self::by_hash(&tokens, hash, proof)?))
     }
 
-    /// Identifies a client by the token of its session.
-    fn by_session(&self, hash: Option<TokenHash>) -> Result<Identity, Unauthorized> {
-        let (hash, tokens) = hash.zip(self.tokens()).ok_or(Unauthorized::SessionEnded)?;
-        Self::by_hash(&tokens, hash, Proof::Session).map_err(|_| Unauthorized::SessionEnded)
+    /// Identifies a client by the token of its session, and by the PIN that was entered there.
+    fn by_session(&self, behind: Option<Behind>) -> Result<Identity, Unauthorized> {
+        let (Behind { token, pin }, tokens) = behind.zip(self.tokens()).ok_or(Unauthorized::SessionEnded)?;
+        let identity = Self::by_hash(&tokens, token, Proof::Session).map_err(|_| Unauthorized::SessionEnded)?;
+        let person = pin.and_then(|pin| valid(tokens.find_pin(pin)?, Proof::Pin).ok());
+        Ok(person.unwrap_or(identity))
+    }
+
+    /// Whether the token of a session allows no more than reads.
+    fn only_reads(&self, token: TokenHash) -> bool {
+        self.tokens().is_some_and(|tokens| tokens.find(token).is_some_and(|token| !token.role.has(Right::Operate)))
     }
 
     fn by_hash(tokens: &Tokens, hash: TokenHash, proof: Proof) -> Result<Identity, Unauthorized> {
-        let token = tokens.find(hash).ok_or(Unauthorized::Unknown)?;
-        let StoredToken { name, role, expires_at, .. } = token;
-        if expires_at.is_some_and(|at| at <= Timestamp::now()) {
-            return Err(Unauthorized::Expired);
-        }
-        Ok(Identity { name: Some(name.clone()), role: *role, scope: token.scope(), expires_at: *expires_at, proof })
-    }
-
-    fn by_address(&self, peer: Option<IpAddr>) -> Result<Identity, Unauthorized> {
-        let peer = peer.map(|peer| peer.to_canonical());
-        let client = self.clients.iter().find(|client| peer.is_some_and(|peer| client.network.contains(&peer)));
-        let AddressClient { name, role, scope, .. } = client.ok_or(Unauthorized::Missing)?;
-        let (name, scope, proof) = (Some(name.clone()), scope.clone(), Proof::Address);
-        Ok(Identity { name, role: *role, scope, expires_at: None, proof })
+        valid(tokens.find(hash).ok_or(Unauthorized::Unknown)?, proof)
     }
 }
 
+/// Returns the identity that comes with a token, if the token has not expired.
+fn valid(token: &StoredToken, proof: Proof) -> Result<Identity, Unauthorized> {
+    let StoredToken { name, role, expires_at, .. } = token;
+    if expires_at.is_some_and(|at| at <= Timestamp::now()) {
+        return Err(Unauthorized::Expired);
+    }
+    Ok(Identity {
+        name: Some(name.clone()),
+        role: *role,
+        scope: token.scope(),
+        expires_at: *expires_at,
+        proof,
+        session: None,
+    })
+}
+
 impl Access {
-    /// Identifies a client by its credential, or else by its address.
+    #[must_use]
+    pub fn new(rules: AccessRules) -> Self {
+        let access = Self::default();
+        access.replace(rules);
+        access
+    }
+
+    /// Replaces the rules. Open sessions stay open, if their tokens are still valid.
+    pub fn replace(&self, rules: AccessRules) {
+        *self.rules.write().unwrap_or_else(PoisonError::into_inner) = Arc::new(rules);
+    }
+
+    fn rules(&self) -> Arc<AccessRules> {
+        self.rules.read().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Identifies a client by its credential, or else by its origin.
     ///
     /// # Errors
     /// The reason why the client is unknown.
-    pub fn identify(&self, credential: &Credential, peer: Option<IpAddr>) -> Result<Identity, Unauthorized> {
-        let Self::Guarded(guard) = self else { return Ok(Identity::anyone()) };
+    pub fn identify(&self, credential: &Credential, origin: &Origin) -> Result<Identity, Unauthorized> {
+        let AccessRules::Guarded(guard) = &*self.rules() else { return Ok(Identity::anyone()) };
         match credential {
-            Credential::None => guard.by_address(peer),
+            Credential::None => KnownClient::find(&guard.clients, origin).ok_or(Unauthorized::Missing),
             Credential::Malformed => Err(Unauthorized::Malformed),
             Credential::Token(secret) => guard.by_token(secret, Proof::Token).map(|(_, identity)| identity),
-            Credential::Session(id) => guard.by_session(guard.sessions.used(Instant::now(), id)),
+            Credential::Session(id) => {
+                let identity = guard.by_session(self.sessions.behind(Instant::now(), guard.times, id))?;
+                Ok(Identity { session: Some(id.clone()), ..identity })
+            }
         }
     }
 
-    /// Whether the client of a connection is still known. This does not count as a use of its session.
+    /// Notes that the client does something, so that its session is not idle. The reads of an open page count only for
+    /// those who cannot do more, such as a panel that stays signed in.
+    pub fn note_use(&self, session: &SessionId, is_change: bool) {
+        let AccessRules::Guarded(guard) = &*self.rules() else { return };
+        let now = Instant::now();
+        let behind = self.sessions.behind(now, guard.times, session);
+        if is_change || behind.is_some_and(|behind| guard.only_reads(behind.token)) {
+            self.sessions.note_use(now, session, is_change);
+        }
+    }
+
+    /// Returns the identity of a client of the WSG port, which can send no credential. `None` if the gateway names no
+    /// clients, so that it knows none of them.
     #[must_use]
-    pub fn knows(&self, credential: &Credential, peer: Option<IpAddr>) -> bool {
-        match (self, credential) {
-            (Self::Guarded(guard), Credential::Session(id)) => {
-                guard.by_session(guard.sessions.token(Instant::now(), id)).is_ok()
-            }
-            _ => self.identify(credential, peer).is_ok(),
+    pub fn of_address(&self, origin: &Origin) -> Option<Identity> {
+        match &*self.rules() {
+            AccessRules::Open => None,
+            AccessRules::Guarded(guard) => KnownClient::find(&guard.clients, origin),
         }
     }
 
@@ -173,9 +225,9 @@ impl Access {
     /// decides who receives the states, so reading them needs no token.
     #[must_use]
     pub fn of_network(&self) -> Identity {
-        let role = match self {
-            Self::Open => return Identity::anyone(),
-            Self::Guarded(guard) => guard.network_role.unwrap_or(Role::Observer),
+        let role = match &*self.rules() {
+            AccessRules::Open => return Identity::anyone(),
+            AccessRules::Guarded(guard) => guard.network_role.unwrap_or(Role::Observer),
         };
         Identity { role, ..Identity::anyone() }
     }
@@ -183,15 +235,21 @@ impl Access {
     /// Whether clients need credentials.
     #[must_use]
     pub fn is_guarded(&self) -> bool {
-        matches!(self, Self::Guarded(_))
+        matches!(*self.rules(), AccessRules::Guarded(_))
+    }
+
+    /// Whether the network can read the credentials of clients.
+    #[must_use]
+    pub fn is_exposed(&self) -> bool {
+        matches!(&*self.rules(), AccessRules::Guarded(guard) if guard.is_exposed)
     }
 
     /// Whether a FAST STOP needs no credential.
     #[must_use]
     pub fn lets_anyone_stop(&self) -> bool {
-        match self {
-            Self::Open => true,
-            Self::Guarded(guard) => guard.fast_stop == FastStopPolicy::Anyone,
+        match &*self.rules() {
+            AccessRules::Open => true,
+            AccessRules::Guarded(guard) => guard.fast_stop == FastStopPolicy::Anyone,
         }
     }
 
@@ -200,17 +258,39 @@ impl Access {
     /// # Errors
     /// The reason why the token is refused.
     pub fn sign_in(&self, secret: &TokenSecret) -> Result<Option<(SessionId, Identity)>, Unauthorized> {
-        let Self::Guarded(guard) = self else { return Ok(None) };
+        let AccessRules::Guarded(guard) = &*self.rules() else { return Ok(None) };
         let (hash, identity) = guard.by_token(secret, Proof::Session)?;
-        let id = guard.sessions.begin(Instant::now(), hash).map_err(|_| Unauthorized::Unknown)?;
+        let id = self.sessions.begin(Instant::now(), guard.times, hash).map_err(|_| Unauthorized::Unknown)?;
         Ok(Some((id, identity)))
     }
 
     /// Ends a session.
     pub fn sign_out(&self, id: &SessionId) {
-        if let Self::Guarded(guard) = self {
-            guard.sessions.end(id);
+        self.sessions.end(id);
+    }
+
+    /// Adds the rights of a PIN to a session, until they are idle.
+    ///
+    /// # Errors
+    /// The reason why the PIN is refused.
+    pub fn enter_pin(&self, id: &SessionId, pin: &Pin) -> Result<Identity, Unauthorized> {
+        let AccessRules::Guarded(guard) = &*self.rules() else { return Err(Unauthorized::SessionEnded) };
+        let now = Instant::now();
+        let behind = self.sessions.behind(now, guard.times, id).ok_or(Unauthorized::SessionEnded)?;
+        guard.by_session(Some(behind))?;
+        if !self.sessions.may_try_pin(now, behind.token) {
+            return Err(Unauthorized::TooManyPins);
         }
+        let tokens = guard.tokens().ok_or(Unauthorized::WrongPin)?;
+        let hash = tokens.hash_of_pin(pin);
+        let identity = valid(tokens.find_pin(hash).ok_or(Unauthorized::WrongPin)?, Proof::Pin)?;
+        self.sessions.add_pin(now, id, hash);
+        Ok(identity)
+    }
+
+    /// Takes the rights of a PIN away from a session.
+    pub fn forget_pin(&self, id: &SessionId) {
+        self.sessions.remove_pin(id);
     }
 }
 

@@ -6,6 +6,7 @@ use jiff::Timestamp;
 use serde::Serialize;
 use utoipa::ToSchema;
 
+use super::credential::SessionId;
 use super::role::{Right, Role};
 use crate::gripper::model::Name;
 
@@ -19,6 +20,8 @@ pub struct Identity {
     /// Time at which the credential expires, if it does.
     pub expires_at: Option<Timestamp>,
     pub proof: Proof,
+    /// The browser's session that the client uses.
+    pub session: Option<SessionId>,
 }
 
 /// Grippers that a client may stop, move or change. A client with the right to read reads all grippers.
@@ -33,6 +36,8 @@ pub enum Scope {
 /// - `none`: nothing; the gateway needs no credentials
 /// - `token`: a token
 /// - `session`: a session in a browser, which began with a token
+/// - `pin`: a PIN, entered in a session
+/// - `certificate`: the client's certificate
 /// - `address`: the client's address
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
@@ -40,6 +45,8 @@ pub enum Proof {
     None,
     Token,
     Session,
+    Pin,
+    Certificate,
     Address,
 }
 
@@ -56,13 +63,18 @@ pub enum Unauthorized {
     Expired,
     #[error("this session has ended: sign in again")]
     SessionEnded,
+    #[error("this PIN is wrong or was revoked")]
+    WrongPin,
+    #[error("too many wrong PINs: wait a minute")]
+    TooManyPins,
 }
 
 impl Identity {
     /// Returns the identity of every client of a gateway that needs no credentials.
     #[must_use]
     pub const fn anyone() -> Self {
-        Self { name: None, role: Role::Supervisor, scope: Scope::All, expires_at: None, proof: Proof::None }
+        let (role, scope, proof) = (Role::Supervisor, Scope::All, Proof::None);
+        Self { name: None, role, scope, expires_at: None, proof, session: None }
     }
 
     /// Whether the client has a right to this gripper; `None` stands for all grippers.

@@ -6,6 +6,8 @@
 mod authority;
 mod credential;
 mod identity;
+mod known;
+mod pin;
 mod random;
 mod role;
 mod session;
@@ -13,9 +15,11 @@ mod token;
 mod token_file;
 mod visitor;
 
-pub use authority::{Access, AddressClient, FastStopPolicy, Guard};
+pub use authority::{Access, AccessRules, FastStopPolicy, Guard, SessionTimes};
 pub use credential::{Credential, SessionId};
 pub use identity::{Identity, Proof, Scope, Unauthorized};
+pub use known::{ClientSign, KnownClient, Origin};
+pub use pin::Pin;
 pub use role::{Right, Role};
 pub use token::TokenSecret;
 pub use token_file::{NewToken, StoredToken, TokenFile, TokenFileError};

@@ -1,9 +1,10 @@
 //! Sessions of browsers, which begin with a token and end by sign-out or when idle.
 
 use std::collections::HashMap;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use super::authority::SessionTimes;
 use super::credential::SessionId;
 use super::token_file::TokenHash;
 
@@ -13,27 +14,58 @@ const MAX_SESSIONS: usize = 256;
 /// Maximum number of sessions of one token.
 const MAX_PER_TOKEN: usize = 16;
 
-#[derive(Debug)]
-pub(super) struct Sessions {
-    idle_time: Duration,
-    open: Mutex<HashMap<SessionId, Session>>,
+/// Wrong PINs that a token's sessions can enter in a row, before they have to wait.
+const MAX_WRONG_PINS: u32 = 5;
+
+/// Wait after too many wrong PINs. A million PINs then take more than 130 days.
+const PIN_PAUSE: Duration = Duration::from_mins(1);
+
+#[derive(Debug, Default)]
+pub(super) struct Sessions(Mutex<Open>);
+
+#[derive(Debug, Default)]
+struct Open {
+    sessions: HashMap<SessionId, Session>,
+    /// Wrong PINs in a row by the sessions of a token, and the time of the newest.
+    wrong_pins: HashMap<TokenHash, (u32, Instant)>,
 }
 
 #[derive(Debug)]
 struct Session {
     token: TokenHash,
     used: Instant,
+    /// The PIN that was entered, and the time at which its rights were used last.
+    pin: Option<(TokenHash, Instant)>,
+}
+
+/// The credentials behind a session.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Behind {
+    pub token: TokenHash,
+    pub pin: Option<TokenHash>,
+}
+
+impl Session {
+    fn is_open(&self, now: Instant, times: SessionTimes) -> bool {
+        now.duration_since(self.used) <= times.idle
+    }
+
+    fn behind(&self, now: Instant, times: SessionTimes) -> Behind {
+        let pin = self.pin.filter(|(_, used)| now.duration_since(*used) <= times.pin_idle);
+        Behind { token: self.token, pin: pin.map(|(pin, _)| pin) }
+    }
 }
 
 impl Sessions {
-    pub(super) fn new(idle_time: Duration) -> Self {
-        Self { idle_time, open: Mutex::default() }
-    }
-
-    pub(super) fn begin(&self, now: Instant, token: TokenHash) -> Result<SessionId, ring::error::Unspecified> {
+    pub(super) fn begin(
+        &self,
+        now: Instant,
+        times: SessionTimes,
+        token: TokenHash,
+    ) -> Result<SessionId, ring::error::Unspecified> {
         let id = SessionId::generate()?;
-        let mut open = self.open.lock().unwrap_or_else(PoisonError::into_inner);
-        open.retain(|_, session| now.duration_since(session.used) <= self.idle_time);
+        let open = &mut self.open().sessions;
+        open.retain(|_, session| session.is_open(now, times));
         let own = || open.iter().filter(|(_, session)| session.token == token);
         let is_full = open.len() >= MAX_SESSIONS;
         if own().count() >= MAX_PER_TOKEN || is_full {
@@ -44,27 +76,62 @@ impl Sessions {
                 open.remove(&oldest);
             }
         }
-        open.insert(id.clone(), Session { token, used: now });
+        open.insert(id.clone(), Session { token, used: now, pin: None });
         Ok(id)
     }
 
-    /// Returns the token of a session that has not been idle for too long.
-    pub(super) fn token(&self, now: Instant, id: &SessionId) -> Option<TokenHash> {
-        let open = self.open.lock().unwrap_or_else(PoisonError::into_inner);
-        open.get(id).filter(|session| now.duration_since(session.used) <= self.idle_time).map(|session| session.token)
+    /// Returns the credentials behind a session that has not been idle for too long.
+    pub(super) fn behind(&self, now: Instant, times: SessionTimes, id: &SessionId) -> Option<Behind> {
+        let open = self.open();
+        open.sessions.get(id).filter(|session| session.is_open(now, times)).map(|session| session.behind(now, times))
     }
 
-    /// Returns the token of a session, and counts as a use of the session.
-    pub(super) fn used(&self, now: Instant, id: &SessionId) -> Option<TokenHash> {
-        let token = self.token(now, id)?;
-        if let Some(session) = self.open.lock().unwrap_or_else(PoisonError::into_inner).get_mut(id) {
-            session.used = now;
+    /// Notes a use of an open session, and of its PIN if `with_pin`.
+    pub(super) fn note_use(&self, now: Instant, id: &SessionId, with_pin: bool) {
+        let mut open = self.open();
+        let Some(session) = open.sessions.get_mut(id) else { return };
+        session.used = now;
+        if let Some((_, used)) = session.pin.as_mut().filter(|_| with_pin) {
+            *used = now;
         }
-        Some(token)
+    }
+
+    /// Counts an attempt to enter a PIN as a wrong one. Returns `false` if the sessions of this token have to wait.
+    pub(super) fn may_try_pin(&self, now: Instant, token: TokenHash) -> bool {
+        let mut open = self.open();
+        open.wrong_pins.retain(|_, (_, at)| now.duration_since(*at) < PIN_PAUSE);
+        let (count, at) = open.wrong_pins.entry(token).or_insert((0, now));
+        let may_try = *count < MAX_WRONG_PINS;
+        if may_try {
+            (*count, *at) = (*count + 1, now);
+        }
+        may_try
+    }
+
+    /// Adds the rights of a PIN to a session. The attempt was not a wrong one.
+    pub(super) fn add_pin(&self, now: Instant, id: &SessionId, pin: TokenHash) {
+        let mut open = self.open();
+        let Some(session) = open.sessions.get_mut(id) else { return };
+        session.pin = Some((pin, now));
+        let token = session.token;
+        if let Some((count, _)) = open.wrong_pins.get_mut(&token) {
+            *count = count.saturating_sub(1);
+        }
+    }
+
+    /// Takes the rights of a PIN away from a session.
+    pub(super) fn remove_pin(&self, id: &SessionId) {
+        if let Some(session) = self.open().sessions.get_mut(id) {
+            session.pin = None;
+        }
     }
 
     pub(super) fn end(&self, id: &SessionId) {
-        self.open.lock().unwrap_or_else(PoisonError::into_inner).remove(id);
+        self.open().sessions.remove(id);
+    }
+
+    fn open(&self) -> MutexGuard<'_, Open> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -73,38 +140,72 @@ mod tests {
     use super::*;
 
     const HASH: TokenHash = TokenHash([7; 32]);
+    const PIN: TokenHash = TokenHash([8; 32]);
+    const TIMES: SessionTimes = SessionTimes { idle: Duration::from_mins(10), pin_idle: Duration::from_mins(1) };
+
+    fn token(sessions: &Sessions, now: Instant, id: &SessionId) -> Option<TokenHash> {
+        sessions.behind(now, TIMES, id).map(|behind| behind.token)
+    }
 
     #[test]
     fn session_ends_when_idle_or_signed_out() {
-        let (sessions, start) = (Sessions::new(Duration::from_mins(10)), Instant::now());
-        let [idle, used, signed_out] = [(); 3].map(|()| sessions.begin(start, HASH).unwrap());
+        let (sessions, start) = (Sessions::default(), Instant::now());
+        let [idle, used, signed_out] = [(); 3].map(|()| sessions.begin(start, TIMES, HASH).unwrap());
         let soon = start + Duration::from_mins(9);
-        assert_eq!(sessions.used(soon, &used), Some(HASH));
+        sessions.note_use(soon, &used, false);
         sessions.end(&signed_out);
-        assert_eq!(sessions.token(soon, &signed_out), None);
+        assert_eq!(token(&sessions, soon, &signed_out), None);
         let later = start + Duration::from_mins(11);
-        assert_eq!((sessions.token(later, &used), sessions.token(later, &idle)), (Some(HASH), None));
+        assert_eq!((token(&sessions, later, &used), token(&sessions, later, &idle)), (Some(HASH), None));
+    }
+
+    #[test]
+    fn pin_is_forgotten_when_idle() {
+        let (sessions, start) = (Sessions::default(), Instant::now());
+        let id = sessions.begin(start, TIMES, HASH).unwrap();
+        sessions.add_pin(start, &id, PIN);
+        let after = |seconds| start + Duration::from_secs(seconds);
+        let pin = |seconds| sessions.behind(after(seconds), TIMES, &id).unwrap().pin;
+        sessions.note_use(after(50), &id, true);
+        sessions.note_use(after(100), &id, false);
+        assert_eq!([pin(100), pin(111)], [Some(PIN), None]);
+        assert_eq!(token(&sessions, after(111), &id), Some(HASH));
+    }
+
+    #[test]
+    fn wrong_pins_are_slowed() {
+        let (sessions, start) = (Sessions::default(), Instant::now());
+        let id = sessions.begin(start, TIMES, HASH).unwrap();
+        for _ in 0..MAX_WRONG_PINS {
+            assert!(sessions.may_try_pin(start, HASH));
+        }
+        // The last attempt was right, so a further one is possible.
+        sessions.add_pin(start, &id, PIN);
+        assert!(sessions.may_try_pin(start, HASH));
+        assert!(!sessions.may_try_pin(start + PIN_PAUSE / 2, HASH) && sessions.may_try_pin(start, PIN));
+        assert!(sessions.may_try_pin(start + PIN_PAUSE, HASH));
     }
 
     #[test]
     fn further_sessions_of_a_token_replace_its_own() {
-        let (sessions, start) = (Sessions::new(Duration::from_mins(10)), Instant::now());
-        let other = sessions.begin(start, TokenHash([0; 32])).unwrap();
-        let first = sessions.begin(start, HASH).unwrap();
+        let (sessions, start) = (Sessions::default(), Instant::now());
+        let other = sessions.begin(start, TIMES, TokenHash([0; 32])).unwrap();
+        let first = sessions.begin(start, TIMES, HASH).unwrap();
         for after in 1..=MAX_SESSIONS as u64 {
-            sessions.begin(start + Duration::from_millis(after), HASH).unwrap();
+            sessions.begin(start + Duration::from_millis(after), TIMES, HASH).unwrap();
         }
-        assert_eq!((sessions.token(start, &first), sessions.token(start, &other)), (None, Some(TokenHash([0; 32]))));
-        assert_eq!(sessions.open.lock().unwrap().len(), MAX_PER_TOKEN + 1);
+        let found = (token(&sessions, start, &first), token(&sessions, start, &other));
+        assert_eq!(found, (None, Some(TokenHash([0; 32]))));
+        assert_eq!(sessions.open().sessions.len(), MAX_PER_TOKEN + 1);
     }
 
     #[test]
     fn sessions_are_bounded() {
-        let (sessions, start) = (Sessions::new(Duration::from_mins(10)), Instant::now());
+        let (sessions, start) = (Sessions::default(), Instant::now());
         for token in 0..=u8::MAX {
-            sessions.begin(start, TokenHash([token; 32])).unwrap();
+            sessions.begin(start, TIMES, TokenHash([token; 32])).unwrap();
         }
-        sessions.begin(start, TokenHash([0xAA; 32])).unwrap();
-        assert_eq!(sessions.open.lock().unwrap().len(), MAX_SESSIONS);
+        sessions.begin(start, TIMES, TokenHash([0xAA; 32])).unwrap();
+        assert_eq!(sessions.open().sessions.len(), MAX_SESSIONS);
     }
 }

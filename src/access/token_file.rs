@@ -11,6 +11,7 @@ use ring::hmac;
 use serde::{Deserialize, Serialize};
 
 use super::identity::Scope;
+use super::pin::Pin;
 use super::random::secret_bytes;
 use super::role::Role;
 use super::token::TokenSecret;
@@ -42,6 +43,9 @@ pub struct StoredToken {
     /// Absent if the token does not expire.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub expires_at: Option<Timestamp>,
+    /// Whether the secret is a PIN, which only adds rights to a session.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub is_pin: bool,
     hash: TokenHash,
 }
 
@@ -122,20 +126,25 @@ impl TokenFile {
     /// # Errors
     /// [`TokenFileError`]
     pub fn create(&self, now: Timestamp, new: NewToken) -> Result<TokenSecret, TokenFileError> {
-        let NewToken { name, role, grippers, expires_at } = new;
         let secret = TokenSecret::generate()?;
-        self.change(|content| {
-            if content.tokens.iter().any(|token| token.name == name) {
-                return Err(TokenFileError::Exists(name));
-            }
-            if content.tokens.len() >= MAX_TOKENS {
-                return Err(TokenFileError::Full);
-            }
-            let hash = content.hash(&secret);
-            content.tokens.push(StoredToken { name, role, grippers, created_at: now, expires_at, hash });
-            Ok(())
-        })?;
+        self.change(|content| content.add(now, new, content.hash(&secret), false))?;
         Ok(secret)
+    }
+
+    /// Adds a PIN and returns it. Creates the file if it does not exist.
+    ///
+    /// # Errors
+    /// [`TokenFileError`]
+    pub fn create_pin(&self, now: Timestamp, new: NewToken) -> Result<Pin, TokenFileError> {
+        let mut pin = Pin::generate()?;
+        self.change(|content| {
+            // Two people must not have the same PIN.
+            while content.find_pin(content.hash_of_pin(&pin)).is_some() {
+                pin = Pin::generate()?;
+            }
+            content.add(now, new, content.hash_of_pin(&pin), true)
+        })?;
+        Ok(pin)
     }
 
     /// Removes a token.
@@ -229,16 +238,40 @@ impl Tokens {
         Ok(Self { key: HashKey(secret_bytes()?), tokens: Vec::new() })
     }
 
+    fn add(&mut self, now: Timestamp, new: NewToken, hash: TokenHash, is_pin: bool) -> Result<(), TokenFileError> {
+        let NewToken { name, role, grippers, expires_at } = new;
+        if self.tokens.iter().any(|token| token.name == name) {
+            return Err(TokenFileError::Exists(name));
+        }
+        if self.tokens.len() >= MAX_TOKENS {
+            return Err(TokenFileError::Full);
+        }
+        self.tokens.push(StoredToken { name, role, grippers, created_at: now, expires_at, is_pin, hash });
+        Ok(())
+    }
+
     /// Hashes a secret. Its keyed hash is compared instead of the secret, so the time of a comparison reveals nothing.
     pub(super) fn hash(&self, secret: &TokenSecret) -> TokenHash {
+        self.hash_of(secret.expose())
+    }
+
+    pub(super) fn hash_of_pin(&self, pin: &Pin) -> TokenHash {
+        self.hash_of(pin.expose())
+    }
+
+    fn hash_of(&self, secret: &str) -> TokenHash {
         let key = hmac::Key::new(hmac::HMAC_SHA256, &self.key.0);
         let mut hash = [0; 32];
-        hash.copy_from_slice(hmac::sign(&key, secret.expose().as_bytes()).as_ref());
+        hash.copy_from_slice(hmac::sign(&key, secret.as_bytes()).as_ref());
         TokenHash(hash)
     }
 
     pub(super) fn find(&self, hash: TokenHash) -> Option<&StoredToken> {
-        self.tokens.iter().find(|token| token.hash == hash)
+        self.tokens.iter().find(|token| !token.is_pin && token.hash == hash)
+    }
+
+    pub(super) fn find_pin(&self, hash: TokenHash) -> Option<&StoredToken> {
+        self.tokens.iter().find(|token| token.is_pin && token.hash == hash)
     }
 }
 

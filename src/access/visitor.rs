@@ -1,29 +1,28 @@
 //! A client before its identification.
 
-use std::net::IpAddr;
-
 use super::authority::Access;
 use super::credential::Credential;
 use super::identity::{Identity, Unauthorized};
+use super::known::Origin;
 
-/// Credential and address of a client. A connection that lasts is checked again for each request, so that a revocation takes effect
+/// Credential and origin of a client. A connection that lasts is checked again for each request, so that a revocation takes effect
 /// at once.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Visitor {
     pub credential: Credential,
-    pub peer: Option<IpAddr>,
+    pub origin: Origin,
 }
 
 impl Visitor {
     /// # Errors
     /// The reason why the client is unknown.
     pub fn identity(&self, access: &Access) -> Result<Identity, Unauthorized> {
-        access.identify(&self.credential, self.peer)
+        access.identify(&self.credential, &self.origin)
     }
 
     /// Whether the client is still known.
     #[must_use]
     pub fn is_known(&self, access: &Access) -> bool {
-        access.knows(&self.credential, self.peer)
+        access.identify(&self.credential, &self.origin).is_ok()
     }
 }

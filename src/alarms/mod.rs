@@ -136,7 +136,7 @@ impl Alarms {
 
     fn conditions(&self, grippers: &Grippers, peers: &Peers, is_starting: bool) -> Conditions {
         let mut conditions = Conditions::new();
-        for gripper in grippers.iter() {
+        for gripper in grippers.all() {
             of_gripper(&gripper.state(), is_starting, &mut conditions);
         }
         let mut add = |alarm, gateway, cause| {

@@ -43,6 +43,9 @@ enum Command {
         /// Lifetime, e.g. 90d, 12h or never
         #[arg(long, value_name = "TIME", default_value = DEFAULT_EXPIRY)]
         expires: String,
+        /// Create a PIN of six digits instead, which adds its role to a signed-in panel
+        #[arg(long)]
+        pin: bool,
     },
     /// List all tokens, without their secrets
     List,
@@ -56,7 +59,12 @@ enum Command {
 pub(super) fn run(args: &TokenArgs, mut output: impl Write) -> anyhow::Result<()> {
     let file = file(args)?;
     match &args.command {
-        Command::Create { name, role, grippers, expires } => {
+        Command::Create { name, role, grippers, expires, pin: true } => {
+            let grippers = (!grippers.is_empty()).then(|| grippers.iter().cloned().collect());
+            let new = NewToken { name: name.clone(), role: *role, grippers, expires_at: expiry(expires)? };
+            Ok(writeln!(output, "{}", file.create_pin(Timestamp::now(), new)?.expose())?)
+        }
+        Command::Create { name, role, grippers, expires, pin: false } => {
             let grippers: BTreeSet<_> = grippers.iter().cloned().collect();
             let secret = create(&file, name.clone(), *role, grippers, expiry(expires)?)?;
             Ok(writeln!(output, "{}", secret.expose())?)
@@ -109,7 +117,7 @@ fn expiry(text: &str) -> anyhow::Result<Option<Timestamp>> {
 }
 
 fn line(token: &StoredToken) -> String {
-    let StoredToken { name, role, grippers, created_at, expires_at, .. } = token;
+    let StoredToken { name, role, grippers, created_at, expires_at, is_pin, .. } = token;
     let grippers = grippers.as_ref().map_or_else(
         || "all grippers".to_owned(),
         |grippers| grippers.iter().map(Name::as_str).collect::<Vec<_>>().join(","),
@@ -119,7 +127,8 @@ fn line(token: &StoredToken) -> String {
         Some(at) if *at <= Timestamp::now() => format!("expired {at:.0}"),
         Some(at) => format!("expires {at:.0}"),
     };
-    format!("{name}  {role}  {grippers}  created {created_at:.0}  {expiry}")
+    let kind = if *is_pin { "  PIN" } else { "" };
+    format!("{name}  {role}{kind}  {grippers}  created {created_at:.0}  {expiry}")
 }
 
 #[cfg(test)]

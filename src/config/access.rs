@@ -8,8 +8,9 @@ use ipnet::IpNet;
 use serde::Deserialize;
 use toml::Spanned;
 
+use super::journal::bounded;
 use super::{ConfigError, File, Flags, Placed};
-use crate::access::{AddressClient, FastStopPolicy, Role, Scope};
+use crate::access::{ClientSign, FastStopPolicy, KnownClient, Role, Scope, SessionTimes};
 use crate::gripper::model::Name;
 
 /// Name of the file of tokens, beside the configuration file.
@@ -20,6 +21,12 @@ const DEFAULT_SESSION_IDLE: Duration = Duration::from_hours(8);
 
 /// Longest configurable idle time of a session, in hours.
 const MAX_SESSION_IDLE_H: u64 = 30 * 24;
+
+/// Default time after which the rights of a PIN end: long enough for a task at the panel, short enough after it.
+const DEFAULT_PIN_IDLE: Duration = Duration::from_mins(5);
+
+/// Longest configurable idle time of a PIN's rights, in minutes.
+const MAX_PIN_IDLE_MIN: u64 = 8 * 60;
 
 /// Whether clients need credentials.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -33,11 +40,11 @@ pub enum AccessConfig {
 pub struct Guarded {
     /// File of tokens.
     pub tokens: PathBuf,
-    pub clients: Vec<AddressClient>,
+    pub clients: Vec<KnownClient>,
     pub fast_stop: FastStopPolicy,
     /// Role of Zenoh clients without a token; they can read in any case.
     pub zenoh_role: Option<Role>,
-    pub session_idle: Duration,
+    pub times: SessionTimes,
 }
 
 /// Files for TLS, in PEM.
@@ -47,6 +54,8 @@ pub struct TlsConfig {
     pub certificate: PathBuf,
     /// The certificate's private key.
     pub key: PathBuf,
+    /// Certificates of the authorities that sign clients' certificates; clients need none if `None`.
+    pub client_ca: Option<PathBuf>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -56,15 +65,23 @@ pub(super) struct AccessContent {
     fast_stop: Option<FastStopPolicy>,
     zenoh_role: Option<Role>,
     session_idle_h: Option<Spanned<u64>>,
+    pin_idle_min: Option<Spanned<u64>>,
 }
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct ClientContent {
     name: Spanned<String>,
-    address: Spanned<String>,
+    address: Option<Spanned<String>>,
+    certificate: Option<String>,
     role: Role,
     grippers: Option<Vec<Spanned<String>>>,
+}
+
+impl ClientContent {
+    pub(super) fn has_address(&self) -> bool {
+        self.address.is_some()
+    }
 }
 
 #[derive(Debug, Deserialize)]
@@ -72,6 +89,7 @@ pub(super) struct ClientContent {
 pub(super) struct TlsContent {
     certificate: PathBuf,
     key: PathBuf,
+    client_ca: Option<PathBuf>,
 }
 
 impl AccessConfig {
@@ -85,51 +103,73 @@ impl AccessConfig {
         });
         let Some(tokens) = flags.tokens.clone().or(in_file) else { return Ok(Self::Open) };
         let default = if listen.ip().is_loopback() { FastStopPolicy::Anyone } else { FastStopPolicy::Credential };
-        let session_idle_h = file.zip(content.and_then(|content| content.session_idle_h.as_ref()));
-        let session_idle = match session_idle_h {
-            None => DEFAULT_SESSION_IDLE,
-            Some((_, hours)) if (1..=MAX_SESSION_IDLE_H).contains(hours.get_ref()) => {
-                Duration::from_hours(*hours.get_ref())
-            }
-            Some((file, hours)) => {
-                let detail =
-                    format!("session_idle_h is {}; it must be from 1 to {MAX_SESSION_IDLE_H}", hours.get_ref());
-                return Err(ConfigError::at(&file.place(hours.span().start), detail));
-            }
+        let idle = bounded(
+            file,
+            "session_idle_h",
+            content.and_then(|content| content.session_idle_h.as_ref()),
+            1..=MAX_SESSION_IDLE_H,
+            "choose how long an unused browser stays signed in",
+        )?;
+        let pin_idle = bounded(
+            file,
+            "pin_idle_min",
+            content.and_then(|content| content.pin_idle_min.as_ref()),
+            1..=MAX_PIN_IDLE_MIN,
+            "choose how long the rights of an unused PIN last",
+        )?;
+        let times = SessionTimes {
+            idle: idle.map_or(DEFAULT_SESSION_IDLE, Duration::from_hours),
+            pin_idle: pin_idle.map_or(DEFAULT_PIN_IDLE, Duration::from_mins),
         };
         Ok(Self::Guarded(Guarded {
             tokens,
             clients,
             fast_stop: content.and_then(|content| content.fast_stop).unwrap_or(default),
             zenoh_role: content.and_then(|content| content.zenoh_role),
-            session_idle,
+            times,
         }))
     }
 }
 
-/// Validates the clients that are known by their addresses.
-fn clients(file: &File) -> Result<Vec<AddressClient>, ConfigError> {
+/// Validates the clients that are known by their addresses or certificates.
+fn clients(file: &File) -> Result<Vec<KnownClient>, ConfigError> {
     let parse = |client: &ClientContent| {
         let at = |value: &Spanned<String>| file.place(value.span().start);
         let name =
             |text: &Spanned<String>| text.get_ref().parse::<Name>().map_err(|error| ConfigError::at(&at(text), error));
-        let address = client.address.get_ref();
-        let network =
-            address.parse::<IpNet>().or_else(|_| address.parse::<IpAddr>().map(IpNet::from)).map_err(|_| {
+        let sign = match (&client.address, &client.certificate) {
+            (Some(address), None) => {
+                ClientSign::Address(network(address.get_ref()).map_err(|detail| ConfigError::at(&at(address), detail))?)
+            }
+            (None, Some(certificate)) if file.content.tls.as_ref().is_some_and(|tls| tls.client_ca.is_some()) => {
+                ClientSign::Certificate(certificate.clone())
+            }
+            (None, Some(_)) => {
                 let detail =
-                    format!("{address:?} is not an address or a network: write 192.168.1.10 or 192.168.1.0/24");
-                ConfigError::at(&at(&client.address), detail)
-            })?;
+                    "a client's certificate needs client_ca in the tls table: the certificate of its authority";
+                return Err(ConfigError::at(&at(&client.name), detail));
+            }
+            _ => {
+                let detail = "a client is known by one sign: write either address or certificate";
+                return Err(ConfigError::at(&at(&client.name), detail));
+            }
+        };
         let grippers = client.grippers.as_ref().map(|grippers| grippers.iter().map(name).collect::<Result<_, _>>());
         let scope = grippers.transpose()?.map_or(Scope::All, Scope::Only);
-        Ok(AddressClient { name: name(&client.name)?, network, role: client.role, scope })
+        Ok(KnownClient { name: name(&client.name)?, sign, role: client.role, scope })
     };
     file.content.clients.iter().map(parse).collect()
 }
 
+fn network(text: &str) -> Result<IpNet, String> {
+    let network = text.parse::<IpNet>().or_else(|_| text.parse::<IpAddr>().map(IpNet::from));
+    network.map_err(|_| format!("{text:?} is not an address or a network: write 192.168.1.10 or 192.168.1.0/24"))
+}
+
 pub(super) fn tls(file: Option<&File>) -> Option<TlsConfig> {
     let (file, tls) = file.and_then(|file| Some((file, file.content.tls.as_ref()?)))?;
-    Some(TlsConfig { certificate: file.beside(&tls.certificate), key: file.beside(&tls.key) })
+    let client_ca = tls.client_ca.as_ref().map(|path| file.beside(path));
+    Some(TlsConfig { certificate: file.beside(&tls.certificate), key: file.beside(&tls.key), client_ca })
 }
 
 /// Checks that clients on an address other than loopback need credentials, which are not sent in the clear.

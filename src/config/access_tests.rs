@@ -24,17 +24,18 @@ fn credentials_are_needed_where_they_are_mentioned() {
     assert!(matches!(parsed(&flags, "").unwrap().access, AccessConfig::Guarded(_)));
     let plc = "[[clients]]\nname = \"plc\"\naddress = \"192.168.1.10\"\nrole = \"operator\"\ngrippers = [\"left\"]";
     let [plc] = guarded(plc).clients.try_into().unwrap();
-    assert_eq!((plc.network.to_string().as_str(), plc.role), ("192.168.1.10/32", Role::Operator));
+    assert_eq!((plc.sign, plc.role), (ClientSign::Address("192.168.1.10/32".parse().unwrap()), Role::Operator));
     assert_eq!(plc.scope, Scope::Only(["left".parse().unwrap()].into()));
 }
 
 #[test]
 fn every_key_is_read() {
     let access = guarded(
-        "[access]\ntokens = \"/run/tokens\"\nfast_stop = \"credential\"\nzenoh_role = \"operator\"\nsession_idle_h = 1",
+        "[access]\ntokens = \"/run/tokens\"\nfast_stop = \"credential\"\nzenoh_role = \"operator\"\nsession_idle_h = 1\npin_idle_min = 2",
     );
     assert_eq!((access.tokens, access.fast_stop), ("/run/tokens".into(), FastStopPolicy::Credential));
-    assert_eq!((access.zenoh_role, access.session_idle), (Some(Role::Operator), Duration::from_hours(1)));
+    let times = SessionTimes { idle: Duration::from_hours(1), pin_idle: Duration::from_mins(2) };
+    assert_eq!((access.zenoh_role, access.times), (Some(Role::Operator), times));
 }
 
 #[test]
@@ -46,6 +47,12 @@ fn wrong_value_is_named_with_its_line() {
             "gateway.toml:3: \"plc\" is not an addr",
         ),
         ("[[clients]]\nname = \"plc\"\naddress = \"::1\"\nrole = \"boss\"", "gateway.toml:4: unknown variant `boss`"),
+        ("[access]\npin_idle_min = 500", "gateway.toml:2: pin_idle_min is 500"),
+        ("[[clients]]\nname = \"plc\"\nrole = \"stop\"", "gateway.toml:2: a client is known by one sign"),
+        (
+            "[[clients]]\nname = \"plc\"\ncertificate = \"plc\"\nrole = \"stop\"",
+            "gateway.toml:2: a client's certificate",
+        ),
         ("[[clients]]\nname = \"a b\"\naddress = \"::1\"\nrole = \"stop\"", "gateway.toml:2: "),
     ] {
         let error = parsed(&Flags::default(), text).unwrap_err().to_string();

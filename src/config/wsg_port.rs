@@ -101,6 +101,14 @@ impl WsgPort {
         })
     }
 
+    /// Whether both are the same, wherever they stand in the file.
+    #[must_use]
+    pub fn is_same(&self, other: &Self) -> bool {
+        let addresses = |port: &Self| port.addresses.iter().map(|(address, _)| *address).collect::<Vec<_>>();
+        let addresses = addresses(self) == addresses(other);
+        addresses && Self { addresses: other.addresses.clone(), ..self.clone() } == *other
+    }
+
     /// Checks that an address other than loopback comes with a list of allowed networks, or `--insecure`.
     pub(super) fn check(&self, insecure: bool) -> Result<(), ConfigError> {
         for (address, place) in &self.addresses {
@@ -108,8 +116,8 @@ impl WsgPort {
             if !address.ip().is_loopback() && self.allow.is_empty() && !insecure {
                 let detail = format!(
                     "{address} is not a loopback address, and the WSG protocol has no credentials: any client that \
-                     reaches it can move the gripper. List the allowed networks in wsg_port_allow, or pass --insecure \
-                     if the network is yours alone"
+                     reaches it can move the gripper. List the allowed networks in wsg_port_allow, name the clients in a \
+                     clients table, or pass --insecure if the network is yours alone"
                 );
                 return Err(ConfigError::at(place, detail));
             }

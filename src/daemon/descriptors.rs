@@ -65,12 +65,21 @@ fn raise_limit() -> usize {
 }
 
 impl Shares {
+    /// Returns the share of each WSG port with another configuration. HTTP and the ports in use keep their shares.
+    pub(super) fn of_ports(&self, config: &Config) -> Result<usize, TooFew> {
+        let (own, ports) = needs(config);
+        let in_use = self.wsg_port.max(wsg_port::MIN_DESCRIPTORS);
+        let needed = own + self.http + ports * in_use;
+        let free = self.limit.checked_sub(own + self.http).unwrap_or_default();
+        match free.checked_div(ports) {
+            Some(share) if share < in_use => Err(TooFew { limit: self.limit, needed }),
+            _ if needed > self.limit => Err(TooFew { limit: self.limit, needed }),
+            share => Ok(share.unwrap_or_default().min(wsg_port::MAX_DESCRIPTORS)),
+        }
+    }
+
     fn of(config: &Config, limit: usize) -> Result<Self, TooFew> {
-        let addresses = config.grippers.iter().flat_map(|gripper| &gripper.wsg_port.addresses);
-        let ports = addresses.filter(|(address, _)| matches!(address, WsgAddress::Tcp(_))).count();
-        let zenoh = if config.zenoh.is_some() { OF_ZENOH } else { 0 };
-        let links = config.grippers.iter().filter(|gripper| matches!(gripper.device, DeviceSource::At(_))).count();
-        let own = OWN + OF_A_LINK * links + zenoh;
+        let (own, ports) = needs(config);
         let needed = own + Bounds::MIN_DESCRIPTORS + ports * wsg_port::MIN_DESCRIPTORS;
         let spare = limit.checked_sub(needed).ok_or(TooFew { limit, needed })?;
         // The WSG ports have few clients, so they get a quarter of the spare descriptors.
@@ -79,6 +88,15 @@ impl Shares {
         let http = limit - own - ports * wsg_port;
         Ok(Self { limit, http: http.min(Bounds::MAX_DESCRIPTORS), wsg_port })
     }
+}
+
+/// Returns the descriptors that the gateway itself needs, and the number of WSG ports with TCP clients.
+fn needs(config: &Config) -> (usize, usize) {
+    let addresses = config.grippers.iter().flat_map(|gripper| &gripper.wsg_port.addresses);
+    let ports = addresses.filter(|(address, _)| matches!(address, WsgAddress::Tcp(_))).count();
+    let zenoh = if config.zenoh.is_some() { OF_ZENOH } else { 0 };
+    let links = config.grippers.iter().filter(|gripper| matches!(gripper.device, DeviceSource::At(_))).count();
+    (OWN + OF_A_LINK * links + zenoh, ports)
 }
 
 #[cfg(test)]
@@ -99,6 +117,16 @@ mod tests {
         assert!(low.http >= Bounds::MIN_DESCRIPTORS, "{low:?}");
         let high = Shares::of(&defaults, 20_000).unwrap();
         assert_eq!(high.http, Bounds::MAX_DESCRIPTORS);
+    }
+
+    #[test]
+    fn further_ports_get_a_share_while_the_others_keep_theirs() {
+        let shares = Shares::of(&config(&[], &[]), 20_000).unwrap();
+        let more = config(&["g=tcp://127.0.0.1:1000"], &["g=127.0.0.1:0"]);
+        assert_eq!(shares.of_ports(&more), Ok(wsg_port::MAX_DESCRIPTORS));
+        let full = Shares::of(&config(&[], &[]), 128).unwrap();
+        assert!(full.of_ports(&more).unwrap_err().to_string().contains("ulimit -n"));
+        assert_eq!(full.of_ports(&config(&[], &[])), Ok(0));
     }
 
     #[test]

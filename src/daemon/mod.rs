@@ -1,45 +1,49 @@
 //! The composition root: builds everything, runs it, and shuts it down in order.
 
+mod announce;
 mod descriptors;
+mod grippers;
 mod listen;
 mod metrics;
 mod ports;
+mod reload;
 mod runtimes;
+mod settings;
 mod simulation;
 mod systemd;
 
 use std::future::Future;
-use std::io::Write;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
-use prometheus::Registry;
-use rand::RngExt;
 use tokio::runtime::{Builder, Runtime};
 use tokio::signal::unix::{SignalKind, signal};
-use tokio::sync::oneshot;
+use tokio::sync::{oneshot, watch};
 use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 use url::Url;
 
-use crate::access::{Access, Guard, TokenFile, TokenFileError};
+use crate::access::Access;
 use crate::alarms::Alarms;
-use crate::config::{self, AccessConfig, Config, ConfigError, DeviceSource, GripperConfig};
+use crate::config::{self, Config, ConfigError, DeviceSource, Flags};
 use crate::events::LiveUpdates;
 use crate::fleet::Peers;
-use crate::gripper::model::{Detail, Event, GatewayEvent, Name, PersistedKey};
-use crate::gripper::recorder::{Record, Recorder as _, RestoredState};
-use crate::gripper::{self, Connector, Grippers, Handle, Now};
-use crate::interfaces::dashboard::FramePolicy;
-use crate::interfaces::tls::Tls;
+use crate::gripper::Now;
+use crate::gripper::model::{Detail, Event, GatewayEvent};
+use crate::gripper::recorder::{Record, Recorder as _};
 use crate::interfaces::{self, Bounds, http, zenoh};
 use crate::journal::{self, Journal, Recovered};
 use crate::operations::Gateway;
 use crate::operations::audit::Audit;
+use crate::operations::readiness::EXPOSED;
+use crate::operations::reload::Reloads;
 use crate::trends::Trends;
 use crate::webhooks::{WebhookContext, Webhooks};
 use descriptors::Shares;
+use grippers::RunningGrippers;
+use ports::Ports;
+use reload::Reloader;
 pub use simulation::{ServedDevice, SimulatedDevice, Switch, serve as serve_device};
 
 /// Longest time that the start waits for the journal: as long as a motion waits.
@@ -49,11 +53,12 @@ const START_WRITTEN_WITHIN: Duration = Duration::from_millis(500);
 ///
 /// # Errors
 /// The reason why the gateway cannot start, and the remedy.
-pub fn run(config: &Config) -> anyhow::Result<()> {
-    check(config)?;
-    let shares = descriptors::share_out(config)?;
+pub fn run(flags: &Flags) -> anyhow::Result<()> {
+    let config = Config::load(flags)?;
+    check(&config)?;
+    let shares = descriptors::share_out(&config)?;
     let runtimes = runtimes::Owned::start()?;
-    runtimes.requests.block_on(run_gateway(config, &runtimes, shares))?;
+    runtimes.requests.block_on(run_gateway(flags, config, &runtimes, shares))?;
     runtimes.end();
     Ok(())
 }
@@ -96,8 +101,9 @@ pub fn check(config: &Config) -> Result<(), ConfigError> {
     Ok(())
 }
 
-async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares) -> anyhow::Result<()> {
+async fn run_gateway(flags: &Flags, config: Config, runtimes: &runtimes::Owned, shares: Shares) -> anyhow::Result<()> {
     let stop = stop_signal()?;
+    let hang_up = signal(SignalKind::hangup())?;
     // Bound before any gripper is connected, so a taken port does not cost a connect and a disconnect.
     let clients = runtimes.of_clients();
     let listener = {
@@ -106,20 +112,20 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
             .map_err(|error| listen::failed(format_args!("cannot listen on {} (--listen)", config.listen), error))?
     };
     let address = listener.local_addr()?;
-    let ports = ports::bind(config, shares.wsg_port)?;
-    let tls =
-        config.tls.clone().map(|config::TlsConfig { certificate, key }| Tls::new(certificate, key)).transpose()?;
-    let access = Arc::new(access(&config.access)?);
-    if access.is_guarded() && tls.is_none() && !config.listen.ip().is_loopback() {
-        tracing::warn!("connections are not encrypted (insecure_http): anyone on the network can read the tokens");
+    let ports = ports::bind(&config, shares.wsg_port)?;
+    let settings = http::SharedSettings::new(settings::of_http(&config, None)?);
+    let access = Arc::new(Access::new(settings::of_access(&config)?));
+    if access.is_exposed() {
+        tracing::warn!("{EXPOSED}");
     }
-    let (journal, recovered) = open_journal(config)?;
+    let (journal, recovered) = open_journal(&config)?;
     log_unclean_end(&recovered);
-    record_start(config, &journal).await;
+    record_start(&config, &journal).await;
     let (draining, shutdown) = (CancellationToken::new(), CancellationToken::new());
-    let registry = metrics::registry(config, &journal)?;
+    let registry = metrics::registry(&config, &journal)?;
     let port_metrics = interfaces::metrics::WsgPortMetrics::register(&registry)?;
-    let grippers = spawn_all(config, &runtimes.devices, &journal, &recovered, &registry)?;
+    let running = RunningGrippers::start(&config, runtimes.devices.handle(), &journal, &recovered, &registry)?;
+    let grippers = running.grippers.clone();
     let audit = Arc::new(Audit::new(journal.clone()));
     let peers = Arc::new(Peers::new(config.name.clone(), grippers.clone()));
     let webhook_context = WebhookContext {
@@ -136,6 +142,7 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
     clients.observers.spawn(alarms.clone().watch(grippers.clone(), peers.clone(), draining.clone()));
     let trends = Arc::new(Trends::default());
     clients.observers.spawn(trends.clone().watch(grippers.clone(), draining.clone()));
+    let (reloads, reload_requests) = Reloads::channel();
     let gateway = Arc::new(Gateway {
         name: config.name.clone(),
         grippers: grippers.clone(),
@@ -143,10 +150,11 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
         audit: audit.clone(),
         peers: peers.clone(),
         alarms: alarms.clone(),
-        updates: Arc::new(LiveUpdates::new(&grippers, journal.clone(), peers, alarms)),
+        updates: Arc::new(LiveUpdates::new(grippers.clone(), journal.clone(), peers, alarms)),
         webhooks: webhooks.clone(),
         trends: trends.clone(),
-        access,
+        access: access.clone(),
+        reloads,
     });
     let context = Arc::new(http::HttpContext {
         gateway,
@@ -155,19 +163,43 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
         metrics: interfaces::metrics::InterfaceMetrics::register(&registry, "http")?,
         ws_metrics: interfaces::metrics::InterfaceMetrics::register(&registry, "ws")?,
         registry,
-        allowed_hosts: config.hosts.clone(),
-        frame_policy: FramePolicy::of(&config.frame_ancestors)?,
-        tls: tls.map(Arc::new),
+        settings: settings.clone(),
     });
     let on_zenoh = config.zenoh.as_ref().map(|zenoh| zenoh_settings(zenoh, &context)).transpose()?;
     tracing::info!(limit = shares.limit, http = shares.http, wsg_port = shares.wsg_port, "file descriptors shared out");
-    let limits =
-        http::ServerLimits { idle_time: config.idle_timeout, ..http::ServerLimits::within(Bounds::of(shares.http)) };
-    let server = clients.accept.spawn(http::serve(listener, context.clone(), limits, shutdown.clone()));
-    announce(config, address, &ports)?;
+    let limits = http::ServerLimits::within(Bounds::of(shares.http));
+    let (listener, listeners) = watch::channel(Arc::new(listener));
+    let server = clients.accept.spawn(http::serve(listeners, context.clone(), limits, shutdown.clone()));
+    announce::announce(&config, address, &ports)?;
     // Zenoh has a task of its own, so the rest continues whatever happens to Zenoh.
-    let zenoh = on_zenoh.map(|(settings, context)| tokio::spawn(zenoh::serve(settings, context, announce_zenoh)));
-    let ports = ports::serve(&runtimes.devices, ports, &grippers, &audit, &port_metrics, &draining, &shutdown);
+    let zenoh =
+        on_zenoh.map(|(settings, context)| tokio::spawn(zenoh::serve(settings, context, announce::announce_zenoh)));
+    let (devices, metrics) = (runtimes.devices.handle().clone(), port_metrics);
+    let (audit_of_ports, access_of_ports) = (audit.clone(), access.clone());
+    let port_context = ports::PortContext {
+        devices,
+        audit: audit_of_ports,
+        access: access_of_ports,
+        metrics,
+        draining: draining.clone(),
+        closing: shutdown.clone(),
+    };
+    let ports = Ports::serve(ports, grippers.clone(), port_context)?;
+    let (flags, journal_of_reloads, accept) = (flags.clone(), journal.clone(), clients.accept.clone());
+    let reloader = Reloader {
+        flags,
+        config,
+        shares,
+        journal: journal_of_reloads,
+        access,
+        settings,
+        listener,
+        accept,
+        grippers: running,
+        ports,
+    };
+    let stopping = CancellationToken::new();
+    let reloading = tokio::spawn(reloader.run(reload_requests, hang_up, stopping.clone()));
     systemd::ready();
     tokio::select! {
         () = stop => {}
@@ -175,26 +207,22 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
         () = systemd::feed_watchdog(&grippers) => {}
     }
     systemd::stopping();
+    // A reload under way is finished first, so that no gripper is left behind.
+    stopping.cancel();
+    let Reloader { ports, listener, .. } = reloading.await?;
     tracing::info!("shutting down: draining grippers");
     draining.cancel();
     grippers.drain().await;
     shutdown.cancel();
+    drop(listener);
     server.await?;
     if let Some(zenoh) = zenoh {
         zenoh.await?;
     }
     webhooks.ended().await;
-    ports.join_all().await.into_iter().collect::<Result<(), _>>()?;
+    ports.ended().await?;
     audit.write_down();
     Ok(journal.close().await?)
-}
-
-/// Reads the credentials of clients.
-fn access(config: &AccessConfig) -> Result<Access, TokenFileError> {
-    let AccessConfig::Guarded(guarded) = config else { return Ok(Access::Open) };
-    let config::Guarded { tokens, clients, fast_stop, zenoh_role, session_idle } = guarded.clone();
-    Guard::new(TokenFile::at(tokens), clients, (fast_stop, zenoh_role), session_idle)
-        .map(|guard| Access::Guarded(Box::new(guard)))
 }
 
 fn open_journal(config: &Config) -> Result<(Journal, Recovered), journal::OpenError> {
@@ -239,94 +267,16 @@ fn configured(config: &Config) -> GatewayEvent {
     GatewayEvent::Configuration { listen: config.listen.to_string(), grippers: grippers.collect() }
 }
 
-fn spawn_all(
-    config: &Config,
-    devices: &Runtime,
-    journal: &Journal,
-    recovered: &Recovered,
-    registry: &Registry,
-) -> anyhow::Result<Grippers> {
-    let _inside = devices.enter();
-    let spawn = |gripper| spawn(config, gripper, journal, restored(recovered, gripper), registry);
-    let handles: anyhow::Result<Vec<Handle>> = config.grippers.iter().map(spawn).collect();
-    Ok(Grippers::new(handles?))
-}
-
-/// Returns the journal's knowledge of a gripper from earlier runs.
-fn restored(recovered: &Recovered, gripper: &GripperConfig) -> RestoredState {
-    let persisted = |key| {
-        let memory = recovered.memory.iter().find(|memory| memory.gripper == gripper.name && memory.key == key);
-        memory.and_then(|memory| memory.value.clone())
-    };
-    let requests = recovered.requests.iter().filter(|request| request.command.gripper == gripper.name);
-    RestoredState {
-        settings: persisted(PersistedKey::Settings),
-        latch: persisted(PersistedKey::Latch),
-        lease: persisted(PersistedKey::Lease),
-        holding: persisted(PersistedKey::Holding),
-        last_command: persisted(PersistedKey::LastCommand),
-        requests: requests.cloned().collect(),
-        unclean: recovered.unclean,
-    }
-}
-
-fn spawn(
-    config: &Config,
-    gripper: &GripperConfig,
-    journal: &Journal,
-    restored: RestoredState,
-    registry: &Registry,
-) -> anyhow::Result<Handle> {
-    let connector: Arc<dyn Connector> = match &gripper.device {
-        DeviceSource::At(address) => Arc::new(address.clone()),
-        DeviceSource::Simulated(url) => {
-            let device = SimulatedDevice::from_url(url).map_err(|detail| ConfigError::at(&gripper.place, detail))?;
-            Arc::new(device.start(url.as_str()))
-        }
-    };
-    let config = gripper::actor::ActorConfig {
-        gateway: config.name.clone(),
-        name: gripper.name.clone(),
-        url: connector.url(),
-        properties: connector.properties(),
-        fast_stop_on_disconnect: gripper.fast_stop_on_disconnect,
-        custom_ids: gripper.custom_ids.clone(),
-        updates: gripper.updates,
-        motion_pause: gripper.motion_pause,
-        drain: config.drain,
-        on_journal_failure: config.journal.on_failure,
-        lease: gripper.lease.clone(),
-        seed: rand::rng().random(),
-        metrics: gripper::GripperMetrics::register(registry, &gripper.name)?,
-    };
-    let handle = gripper::spawn(config, connector, Arc::new(journal.clone()), restored);
-    gripper::metrics::Newest::register(registry, &handle)?;
-    Ok(handle)
-}
-
-/// Completes on SIGTERM or SIGINT. SIGHUP has no function yet, but must not kill the process without a shutdown.
+/// Completes on SIGTERM or SIGINT.
 fn stop_signal() -> std::io::Result<impl Future<Output = ()>> {
     let mut terminate = signal(SignalKind::terminate())?;
     let mut interrupt = signal(SignalKind::interrupt())?;
-    let mut hang_up = signal(SignalKind::hangup())?;
     Ok(async move {
-        loop {
-            tokio::select! {
-                _ = terminate.recv() => return,
-                _ = interrupt.recv() => return,
-                _ = hang_up.recv() => tracing::warn!("SIGHUP ignored: reloading is not supported yet"),
-            }
+        tokio::select! {
+            _ = terminate.recv() => {}
+            _ = interrupt.recv() => {}
         }
     })
-}
-
-/// Prints what is served, where, and what to try. Ignores write errors, since nobody may be reading.
-fn announce(config: &Config, address: SocketAddr, ports: &[ports::Bound]) -> std::io::Result<()> {
-    let urls =
-        ports.iter().map(|port| Ok((&port.gripper, port.listener.url()?))).collect::<std::io::Result<Vec<_>>>()?;
-    let mut out = std::io::stdout().lock();
-    let _ = write_announcement(config, address, &urls, &mut out).and_then(|()| out.flush());
-    Ok(())
 }
 
 fn zenoh_settings(
@@ -341,35 +291,4 @@ fn zenoh_settings(
     network.set_cause(Some(connectivity.awaited().unwrap_or_else(|| "Zenoh is not open yet".to_owned())));
     let interface_metrics = interfaces::metrics::InterfaceMetrics::register(&context.registry, "zenoh")?;
     Ok((zenoh::ZenohSettings { connectivity, max_hz: zenoh.max_hz }, context.of_interface(interface_metrics)))
-}
-
-/// Prints the addresses of Zenoh, which can be known later than the rest.
-fn announce_zenoh(locators: &[String]) {
-    let mut out = std::io::stdout().lock();
-    for locator in locators {
-        let _ = writeln!(out, "Zenoh: {locator}").and_then(|()| out.flush());
-    }
-}
-
-fn write_announcement(
-    config: &Config,
-    address: SocketAddr,
-    ports: &[(&Name, String)],
-    out: &mut impl Write,
-) -> std::io::Result<()> {
-    let scheme = if config.tls.is_some() { "https" } else { "http" };
-    let base = format!("{scheme}://{address}");
-    writeln!(out, "wsg-gateway {} serves {} at {base}/", env!("CARGO_PKG_VERSION"), config.name)?;
-    for gripper in &config.grippers {
-        writeln!(out, "  {:<8} {}", gripper.name.as_str(), gripper.device)?;
-    }
-    for (name, url) in ports {
-        writeln!(out, "WSG port of {name}: {url}")?;
-    }
-    writeln!(out, "documentation: {base}/docs")?;
-    writeln!(out, "guides: {base}/docs/guide")?;
-    if let Some(gripper) = config.grippers.first() {
-        writeln!(out, "try: curl -X POST {base}/api/v1/grippers/{}/home", gripper.name)?;
-    }
-    Ok(())
 }

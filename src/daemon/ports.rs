@@ -2,11 +2,12 @@
 
 use std::sync::Arc;
 
-use tokio::runtime::Runtime;
-use tokio::task::JoinSet;
+use tokio::runtime::Handle as RuntimeHandle;
+use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
 use super::listen;
+use crate::access::Access;
 use crate::config::{AcknowledgePolicy, Config, WsgAddress, WsgPort};
 use crate::gripper::Grippers;
 use crate::gripper::model::Name;
@@ -15,54 +16,178 @@ use crate::interfaces::wsg_port::{self, Datagrams, LOST_AFTER, ListenAddress, Li
 use crate::operations::audit::Audit;
 
 /// A bound port that is not served yet.
-pub(super) struct Bound {
+pub(super) struct BoundPort {
     pub(super) gripper: Name,
     pub(super) listener: Listener,
-    rules: Rules,
+    configured: ConfiguredPort,
     /// Descriptors for the port's TCP clients.
     descriptors: usize,
 }
 
-/// Binds all ports. `descriptors` is the share of each port's TCP clients.
-pub(super) fn bind(config: &Config, descriptors: usize) -> anyhow::Result<Vec<Bound>> {
-    let mut ports = Vec::new();
-    for gripper in &config.grippers {
-        for (address, place) in &gripper.wsg_port.addresses {
-            let address = match *address {
-                WsgAddress::Tcp(address) => ListenAddress::Tcp(address),
-                WsgAddress::Udp { address, reply_port, lost_after } => {
-                    ListenAddress::Udp(address, Datagrams { reply_port, lost_after: lost_after.unwrap_or(LOST_AFTER) })
-                }
-            };
-            let listener = Listener::bind(address).map_err(|error| {
-                let name = &gripper.name;
-                listen::failed(format_args!("{place}: the WSG port of {name} cannot listen on {address}"), error)
-            })?;
-            ports.push(Bound { gripper: gripper.name.clone(), listener, rules: rules(&gripper.wsg_port), descriptors });
-        }
-    }
-    Ok(ports)
+/// The configuration of one port.
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct ConfiguredPort {
+    gripper: Name,
+    address: ListenAddress,
+    rules: Rules,
 }
 
-/// Serves the ports on the grippers' runtime, so that a Loop to a gripper and back needs no change of threads. The
-/// ports have few clients, and the work of each turn is bounded.
-pub(super) fn serve(
-    devices: &Runtime,
-    ports: Vec<Bound>,
-    fleet: &Grippers,
-    audit: &Arc<Audit>,
-    metrics: &WsgPortMetrics,
-    draining: &CancellationToken,
-    closing: &CancellationToken,
-) -> JoinSet<std::io::Result<()>> {
-    let mut served = JoinSet::new();
-    for Bound { gripper, listener, rules, descriptors } in ports {
-        let Some(handle) = fleet.get(&gripper) else { continue };
-        metrics.serves(gripper.as_str());
-        let port = Port::new(handle.clone(), rules, descriptors, audit.clone(), metrics.clone());
-        served.spawn_on(wsg_port::serve(port, listener, draining.clone(), closing.clone()), devices.handle());
+/// A served port.
+struct ServedPort {
+    configured: ConfiguredPort,
+    descriptors: usize,
+    /// The same socket, for a port with other rules.
+    listener: Listener,
+    /// Ends the port: no more clients, and the end of those that it has.
+    ends: [CancellationToken; 2],
+    task: JoinHandle<std::io::Result<()>>,
+}
+
+/// All served ports.
+pub(super) struct Ports {
+    served: Vec<ServedPort>,
+    grippers: Grippers,
+    context: PortContext,
+}
+
+/// What all ports share.
+pub(super) struct PortContext {
+    /// The grippers' runtime, so that a Loop to a gripper and back needs no change of threads. The ports have few
+    /// clients, and the work of each turn is bounded.
+    pub(super) devices: RuntimeHandle,
+    pub(super) audit: Arc<Audit>,
+    pub(super) access: Arc<Access>,
+    pub(super) metrics: WsgPortMetrics,
+    pub(super) draining: CancellationToken,
+    pub(super) closing: CancellationToken,
+}
+
+/// The new ports of a configuration.
+pub(super) struct PortChanges {
+    configured: Vec<ConfiguredPort>,
+    bound: Vec<BoundPort>,
+}
+
+/// Binds all ports. `descriptors` is the share of each port's TCP clients.
+pub(super) fn bind(config: &Config, descriptors: usize) -> anyhow::Result<Vec<BoundPort>> {
+    configured(config).into_iter().map(|port| BoundPort::bind(port, descriptors)).collect()
+}
+
+fn configured(config: &Config) -> Vec<ConfiguredPort> {
+    let of_gripper = |gripper: &crate::config::GripperConfig| {
+        let (name, rules) = (gripper.name.clone(), rules(&gripper.wsg_port));
+        let port = move |(address, _): &(WsgAddress, _)| {
+            let address = listen_address(*address);
+            ConfiguredPort { gripper: name.clone(), address, rules: rules.clone() }
+        };
+        gripper.wsg_port.addresses.iter().map(port).collect::<Vec<_>>()
+    };
+    config.grippers.iter().flat_map(of_gripper).collect()
+}
+
+fn listen_address(address: WsgAddress) -> ListenAddress {
+    match address {
+        WsgAddress::Tcp(address) => ListenAddress::Tcp(address),
+        WsgAddress::Udp { address, reply_port, lost_after } => {
+            ListenAddress::Udp(address, Datagrams { reply_port, lost_after: lost_after.unwrap_or(LOST_AFTER) })
+        }
     }
-    served
+}
+
+impl ConfiguredPort {
+    /// Whether both use the same socket. Each gripper has its own where the system chooses the port.
+    fn is_same_socket(&self, other: &Self) -> bool {
+        let can_be = self.gripper == other.gripper || !self.address.is_any_port();
+        can_be && self.address.is_same_socket(&other.address)
+    }
+}
+
+impl BoundPort {
+    fn bind(configured: ConfiguredPort, descriptors: usize) -> anyhow::Result<Self> {
+        let ConfiguredPort { gripper, address, .. } = &configured;
+        let listener = Listener::bind(*address).map_err(|error| {
+            listen::failed(format_args!("the WSG port of {gripper} cannot listen on {address} (wsg_port)"), error)
+        })?;
+        Ok(Self { gripper: gripper.clone(), listener, configured, descriptors })
+    }
+}
+
+impl Ports {
+    pub(super) fn serve(ports: Vec<BoundPort>, grippers: Grippers, context: PortContext) -> std::io::Result<Self> {
+        let mut this = Self { served: Vec::new(), grippers, context };
+        for port in ports {
+            this.start(port)?;
+        }
+        Ok(this)
+    }
+
+    fn start(&mut self, BoundPort { listener, configured, descriptors, .. }: BoundPort) -> std::io::Result<()> {
+        let Some(handle) = self.grippers.get(&configured.gripper) else { return Ok(()) };
+        let PortContext { devices, audit, access, metrics, draining, closing } = &self.context;
+        metrics.serves(configured.gripper.as_str());
+        let parts = (audit.clone(), access.clone(), metrics.clone());
+        let port = Port::new(handle, configured.rules.clone(), descriptors, parts);
+        let (kept, ends) =
+            (listener.again(configured.address)?, [draining, closing].map(CancellationToken::child_token));
+        let [draining, closing] = ends.clone();
+        let task = devices.spawn(wsg_port::serve(port, listener, draining, closing));
+        self.served.push(ServedPort { configured, descriptors, listener: kept, ends, task });
+        Ok(())
+    }
+
+    /// Binds the ports of a configuration that are not served yet.
+    pub(super) fn prepare(&self, config: &Config, descriptors: usize) -> anyhow::Result<PortChanges> {
+        let configured = configured(config);
+        let is_new = |port: &&ConfiguredPort| !self.served.iter().any(|served| served.configured.is_same_socket(port));
+        let new = configured.iter().filter(is_new).cloned();
+        let bound = new.map(|port| BoundPort::bind(port, descriptors)).collect::<Result<_, _>>()?;
+        Ok(PortChanges { configured, bound })
+    }
+
+    /// Ends the ports that the new configuration does not have, or has with other rules. Their clients lose their
+    /// connections; ports of `changed` grippers end too.
+    pub(super) async fn end_changed(&mut self, changes: &PortChanges, changed: &[Name]) -> Vec<BoundPort> {
+        let is_kept = |port: &ServedPort| {
+            changes.configured.contains(&port.configured) && !changed.contains(&port.configured.gripper)
+        };
+        let (kept, ended): (Vec<_>, Vec<_>) = std::mem::take(&mut self.served).into_iter().partition(is_kept);
+        self.served = kept;
+        let mut free = Vec::new();
+        for ServedPort { configured, descriptors, listener, ends, task } in ended {
+            ends.iter().for_each(CancellationToken::cancel);
+            if let Ok(Err(error)) = task.await {
+                tracing::warn!(%error, "WSG port ended with an error");
+            }
+            let next = changes.configured.iter().find(|port| port.is_same_socket(&configured));
+            free.extend(next.cloned().map(|configured| {
+                let gripper = configured.gripper.clone();
+                BoundPort { gripper, listener, configured, descriptors }
+            }));
+        }
+        free
+    }
+
+    /// Serves the new ports, and those that have other rules now.
+    pub(super) fn start_changed(&mut self, free: Vec<BoundPort>, changes: PortChanges) {
+        for port in free.into_iter().chain(changes.bound) {
+            let gripper = port.gripper.clone();
+            if let Err(error) = self.start(port) {
+                tracing::error!(%gripper, %error, "WSG port not served");
+            }
+        }
+    }
+
+    /// Stops listening, and waits for the end of all clients.
+    pub(super) async fn ended(self) -> std::io::Result<()> {
+        let tasks = self.served.into_iter().map(|ServedPort { listener, task, .. }| {
+            drop(listener);
+            task
+        });
+        for ended in futures_util::future::join_all(tasks).await {
+            ended.map_err(std::io::Error::other)??;
+        }
+        Ok(())
+    }
 }
 
 fn rules(configured: &WsgPort) -> Rules {

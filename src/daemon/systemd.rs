@@ -15,6 +15,14 @@ pub(super) fn ready() {
     send(NotifyState::Ready);
 }
 
+/// Reports that a reload has begun, which [`ready`] ends.
+pub(super) fn reloading() {
+    match NotifyState::monotonic_usec_now() {
+        Ok(now) => send_all(&[NotifyState::Reloading, now]),
+        Err(error) => tracing::warn!(%error, "systemd not notified"),
+    }
+}
+
 /// Reports that the shutdown has begun.
 pub(super) fn stopping() {
     send(NotifyState::Stopping);
@@ -27,6 +35,7 @@ pub(super) async fn feed_watchdog(grippers: &Grippers) {
     let mut ticks = interval(period.max(Duration::from_millis(1)));
     loop {
         ticks.tick().await;
+        let grippers = grippers.all();
         let responses = grippers.iter().map(crate::gripper::Handle::responds);
         match timeout(period, futures_util::future::join_all(responses)).await {
             Ok(alive) if alive.iter().all(|is_alive| *is_alive) => send(NotifyState::Watchdog),
@@ -36,7 +45,11 @@ pub(super) async fn feed_watchdog(grippers: &Grippers) {
 }
 
 fn send(message: NotifyState<'_>) {
-    if let Err(error) = sd_notify::notify(&[message]) {
+    send_all(&[message]);
+}
+
+fn send_all(messages: &[NotifyState<'_>]) {
+    if let Err(error) = sd_notify::notify(messages) {
         tracing::warn!(%error, "systemd not notified");
     }
 }

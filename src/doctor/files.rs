@@ -10,7 +10,7 @@ use super::serial::Account;
 use super::{Diagnosis, Installation};
 use crate::access::TokenFile;
 use crate::config::{AccessConfig, Guarded, JournalPlace, TlsConfig};
-use crate::interfaces::tls::Tls;
+use crate::interfaces::tls::{Tls, TlsFiles};
 use crate::journal::Reader;
 
 /// Free space below which a journal soon fails: a few times its write-ahead log.
@@ -50,8 +50,8 @@ pub(super) fn secrets(installation: &Installation) -> Vec<Diagnosis> {
         files.extend(named(file));
     }
     let mut findings: Vec<_> = files.iter().filter_map(|file| exposed(file)).collect();
-    if let Some(TlsConfig { certificate, key }) = config.tls.clone() {
-        findings.push(match Tls::new(certificate.clone(), key) {
+    if let Some(TlsConfig { certificate, key, client_ca }) = config.tls.clone() {
+        findings.push(match Tls::new(TlsFiles { certificate: certificate.clone(), key, client_ca }) {
             Ok(_) => Diagnosis::good("tls", certificate.display()),
             Err(error) => Diagnosis::problem("tls", error),
         });

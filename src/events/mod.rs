@@ -10,7 +10,7 @@ mod pace;
 mod queued;
 
 use std::collections::BTreeSet;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use futures_util::StreamExt as _;
@@ -22,7 +22,7 @@ use utoipa::ToSchema;
 use crate::alarms::Alarms;
 use crate::fleet::Peers;
 use crate::gripper::model::{Name, State, WireRecord};
-use crate::gripper::{Grippers, Handle, Now};
+use crate::gripper::{GripperChanges, Grippers, Handle, Now};
 use crate::journal::{Journal, Stored};
 use fleet::FleetNews;
 use notification::Recent;
@@ -78,7 +78,8 @@ const RECENT_FRAMES: usize = 64;
 pub struct LiveUpdates {
     journal: Journal,
     events: Recent,
-    grippers: Vec<Arc<Source>>,
+    grippers: Grippers,
+    sources: Mutex<Vec<Arc<Source>>>,
     fleet: FleetNews,
     alarms: Arc<Alarms>,
     alarm_lists: Recent,
@@ -96,14 +97,9 @@ struct Source {
 impl LiveUpdates {
     /// Collects the updates of this gateway's grippers, of the journal, of the fleet's grippers, and of the alarms.
     #[must_use]
-    pub fn new(fleet: &Grippers, journal: Journal, network: Arc<Peers>, alarms: Arc<Alarms>) -> Self {
-        let source = |handle: &Handle| {
-            let (state, telemetry, frames) = (Recent::new(1), Recent::new(1), Recent::new(RECENT_FRAMES));
-            Arc::new(Source { handle: handle.clone(), state, telemetry, frames })
-        };
-        let (events, grippers) = (Recent::new(RECENT_EVENTS), fleet.iter().map(source).collect());
-        let fleet = FleetNews::new(network);
-        Self { journal, events, grippers, fleet, alarms, alarm_lists: Recent::new(1) }
+    pub fn new(grippers: Grippers, journal: Journal, network: Arc<Peers>, alarms: Arc<Alarms>) -> Self {
+        let (events, fleet) = (Recent::new(RECENT_EVENTS), FleetNews::new(network));
+        Self { journal, events, grippers, sources: Mutex::default(), fleet, alarms, alarm_lists: Recent::new(1) }
     }
 
     /// Subscribes to topics of some grippers from now on, or of all with `None`. Only a subscription to all grippers
@@ -114,8 +110,6 @@ impl LiveUpdates {
         grippers: Option<&BTreeSet<Name>>,
         topics: impl IntoIterator<Item = Topic>,
     ) -> Subscription {
-        let is_wanted = |source: &&Arc<Source>| grippers.is_none_or(|names| names.contains(source.handle.name()));
-        let sources: Vec<_> = self.grippers.iter().filter(is_wanted).collect();
         let topics: BTreeSet<_> = topics.into_iter().collect();
         let mut queued: SelectAll<BoxStream<'static, Notification>> = SelectAll::new();
         if topics.contains(&Topic::Events) {
@@ -124,18 +118,29 @@ impl LiveUpdates {
         if topics.contains(&Topic::Grips) {
             queued.push(queued::grips(self, grippers.cloned()).boxed());
         }
-        let has_updates = topics.contains(&Topic::Frames);
-        if has_updates || topics.contains(&Topic::Exchanges) {
-            queued.extend(sources.iter().map(|source| queued::frames((*source).clone(), has_updates).boxed()));
-        }
-        let watched = |source: &&Arc<Source>| Watched {
-            source: (*source).clone(),
-            states: source.handle.states(),
-            seq: 0,
-            sent_at: None,
+        let mut subscription = Subscription {
+            updates: self.clone(),
+            only: grippers.cloned(),
+            changes: self.grippers.changes(),
+            watched: Vec::new(),
+            fleet_seq: 0,
+            alarms_seq: None,
+            topics,
+            queued,
         };
-        let watched = sources.iter().map(watched).collect();
-        Subscription { updates: self.clone(), watched, fleet_seq: 0, alarms_seq: None, topics, queued }
+        subscription.watch_grippers();
+        subscription
+    }
+
+    /// Returns the updates of the current grippers.
+    fn sources(&self) -> Vec<Arc<Source>> {
+        let mut sources = self.sources.lock().unwrap_or_else(PoisonError::into_inner);
+        let source = |handle: Handle| {
+            let known = sources.iter().find(|source| source.handle.is_same(&handle));
+            known.cloned().unwrap_or_else(|| Arc::new(Source::new(handle)))
+        };
+        *sources = self.grippers.all().into_iter().map(source).collect();
+        sources.clone()
     }
 
     /// Returns all alarms if they have changed since change `seq`, and advances `seq`.
@@ -154,6 +159,10 @@ impl LiveUpdates {
 }
 
 impl Source {
+    fn new(handle: Handle) -> Self {
+        Self { handle, state: Recent::new(1), telemetry: Recent::new(1), frames: Recent::new(RECENT_FRAMES) }
+    }
+
     fn state(&self, state: &State) -> Option<Notification> {
         self.state.get(state.update, || Notification::new("state", state))
     }
@@ -184,6 +193,9 @@ struct Watched {
 /// The topics and grippers of one client.
 pub struct Subscription {
     updates: Arc<LiveUpdates>,
+    /// Names of the grippers; all if `None`.
+    only: Option<BTreeSet<Name>>,
+    changes: GripperChanges,
     watched: Vec<Watched>,
     /// Number of the fleet's change that was sent last.
     fleet_seq: u64,
@@ -198,8 +210,25 @@ impl Subscription {
     #[must_use]
     pub fn has_states(&self) -> bool {
         let has_own = self.topics.contains(&Topic::State) || self.topics.contains(&Topic::Telemetry);
-        let has_shared = self.topics.contains(&Topic::Fleet) || self.topics.contains(&Topic::Alarms);
-        has_shared || (has_own && !self.watched.is_empty())
+        has_own || self.topics.contains(&Topic::Fleet) || self.topics.contains(&Topic::Alarms)
+    }
+
+    /// Takes the grippers of this moment: new ones join the subscription, and removed ones leave it.
+    fn watch_grippers(&mut self) {
+        let only = self.only.as_ref();
+        let mut sources = self.updates.sources();
+        sources.retain(|source| only.is_none_or(|names| names.contains(source.handle.name())));
+        self.watched.retain(|watched| sources.iter().any(|source| Arc::ptr_eq(source, &watched.source)));
+        for source in sources {
+            if self.watched.iter().any(|watched| Arc::ptr_eq(&source, &watched.source)) {
+                continue;
+            }
+            let has_updates = self.topics.contains(&Topic::Frames);
+            if has_updates || self.topics.contains(&Topic::Exchanges) {
+                self.queued.push(queued::frames(source.clone(), has_updates).boxed());
+            }
+            self.watched.push(Watched { states: source.handle.states(), source, seq: 0, sent_at: None });
+        }
     }
 
     /// Returns the current states, which count as sent.
@@ -256,9 +285,15 @@ impl Subscription {
         (updates, dropped)
     }
 
-    /// Returns the next event, frame or gap; `None` after the end of every topic. Cancel-safe.
-    pub async fn next(&mut self) -> Option<Notification> {
-        self.queued.next().await
+    /// Returns the next event, frame or gap. Cancel-safe.
+    pub async fn next(&mut self) -> Notification {
+        loop {
+            tokio::select! {
+                biased;
+                () = self.changes.wait() => self.watch_grippers(),
+                Some(update) = self.queued.next() => return update,
+            }
+        }
     }
 }
 

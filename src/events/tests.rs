@@ -17,7 +17,7 @@ fn updates() -> (Arc<LiveUpdates>, Journal) {
     ]);
     let network = Arc::new(Peers::new("wsg".parse().unwrap(), fleet.clone()));
     let alarms = Arc::new(Alarms::new("wsg".parse().unwrap(), journal.clone(), &[]));
-    (Arc::new(LiveUpdates::new(&fleet, journal.clone(), network, alarms)), journal)
+    (Arc::new(LiveUpdates::new(fleet, journal.clone(), network, alarms)), journal)
 }
 
 fn record(journal: &Journal, gripper: Option<&str>) {
@@ -49,12 +49,12 @@ async fn slow_subscriber_gets_a_gap_with_the_number_of_missed_events() {
         // Slow enough for the journal's queue.
         until(&journal, first + recorded).await;
     }
-    let gap = subscription.next().await.unwrap();
+    let gap = subscription.next().await;
     let (seq, missed) = (body(&gap)["seq"].as_i64().unwrap(), body(&gap)["missed"].as_i64().unwrap());
     assert_eq!((gap.method(), seq, body(&gap)["topic"].as_str()), ("gap", first, Some("events")));
     assert!(missed > 0);
     for expected in first + missed + 1..=first + count {
-        assert_eq!(body(&subscription.next().await.unwrap())["seq"], expected);
+        assert_eq!(body(&subscription.next().await)["seq"], expected);
     }
     assert!(subscription.next().now_or_never().is_none());
 }
@@ -65,7 +65,7 @@ async fn event_is_serialised_once_for_all_subscribers() {
     let mut both = [updates.subscribe(None, [Topic::Events]), updates.subscribe(None, [Topic::Events])];
     record(&journal, None);
     let [first, second] = &mut both;
-    let (first, second) = (first.next().await.unwrap(), second.next().await.unwrap());
+    let (first, second) = (first.next().await, second.next().await);
     assert_eq!(first.frame().as_ptr(), second.frame().as_ptr());
     assert_eq!(body(&first)["kind"], "refused");
 }
@@ -80,7 +80,7 @@ async fn subscription_to_one_gripper_gets_no_other() {
     for gripper in [Some("right"), None, Some("left")] {
         record(&journal, gripper);
     }
-    assert_eq!(body(&subscription.next().await.unwrap())["gripper"], "left");
+    assert_eq!(body(&subscription.next().await)["gripper"], "left");
     assert!(subscription.newest(0).0.is_empty(), "nothing has changed since the snapshot");
 }
 
@@ -111,7 +111,7 @@ async fn fleet_is_sent_whole_and_then_by_its_changes() {
     let names: Vec<_> = sent(&mut one).iter().map(|body| format!("{}/{}", body["gateway"], body["gripper"])).collect();
     assert_eq!(names, [r#""wsg"/"left""#, r#""wsg"/"right""#]);
     assert_eq!((sent(&mut one).len(), sent(&mut other).len()), (0, 0));
-    let right = updates.grippers[1].handle.clone();
+    let right = updates.sources()[1].handle.clone();
     let client = Client::new("test", Door::Http);
     right.fast_stop(FastStopId::generate(), client, Reason::truncated("")).await;
     let changed = async {

@@ -1,6 +1,7 @@
 //! Requests to other gateways: run an operation on one of their grippers, and return the answer unchanged.
 
 use std::convert::Infallible;
+use std::fmt;
 use std::future::pending;
 use std::time::Duration;
 
@@ -61,8 +62,8 @@ pub const READINESS: &str = "readiness";
 /// Largest accepted reply of another gateway, in bytes.
 const MAX_REPLY_BYTES: usize = 1 << 20;
 
-/// A request to another gateway.
-#[derive(Debug, Clone)]
+/// A request to another gateway. Debug output hides what is sent along, which can be secret.
+#[derive(Clone)]
 pub struct Ask {
     pub gateway: Name,
     pub gripper: Name,
@@ -77,6 +78,13 @@ pub struct Ask {
     pub client: Client,
     /// Precedence over other requests.
     pub urgency: Urgency,
+}
+
+impl fmt::Debug for Ask {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { gateway, gripper, method, .. } = self;
+        f.debug_struct("Ask").field("to", &format_args!("{gateway}/{gripper}/{method}")).finish_non_exhaustive()
+    }
 }
 
 /// The priority of a request on the network.
@@ -338,7 +346,7 @@ mod tests {
     #[tokio::test]
     async fn gone_gateway_gets_only_stops_and_lease_uses() {
         let name = |text: &str| text.parse::<Name>().unwrap();
-        let network = Peers::new(name("cell-0"), crate::gripper::Grippers::default());
+        let network = Peers::new(name("cell-0"), crate::gripper::Grippers::new([]));
         network.take_token("wsg/v1/cell-1/alive", true);
         network.take_state("wsg/v1/cell-1/left/state", br#"{"link": "connected", "age_ms": 5, "fast_stop": false}"#);
         let urgency = |method| match method {

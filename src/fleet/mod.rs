@@ -141,7 +141,7 @@ impl Peers {
     /// All grippers of all gateways, by gateway and name.
     #[must_use]
     pub fn grippers(&self) -> Vec<FleetGripper> {
-        let own = self.own.iter().filter_map(|handle| self.of_own(&handle.state()));
+        let own = self.own.all().into_iter().filter_map(|handle| self.of_own(&handle.state()));
         let mut all: Vec<_> = own.chain(self.others().grippers(Now::read().instant)).collect();
         all.sort_by_cached_key(FleetGripper::name);
         all

@@ -19,7 +19,6 @@ use super::clock::{Now, sleep_until};
 use super::connector::Connector;
 use super::handle::{ActorRequest, FastStopRequest, Handle, MAX_WAITING_FAST_STOPS, MAX_WAITING_REQUESTS};
 use super::model::CommandId;
-use super::observed;
 use super::recorder::{JournalHealth, Record, Recorder, RestoredState};
 use crate::transport::Pipe;
 use crate::wsg::Command;
@@ -53,8 +52,7 @@ pub fn spawn(
 ) -> Handle {
     let (requests, request_queue) = mpsc::channel(MAX_WAITING_REQUESTS);
     let (fast_stops, fast_stop_queue) = mpsc::channel(MAX_WAITING_FAST_STOPS);
-    let (name, custom_ids) = (config.name.clone(), Arc::new(config.custom_ids.clone()));
-    let update_period_ms = observed::period_ms(config.updates, config.properties.bytes_per_second);
+    let name = config.name.clone();
     let (mut actor, watches) = Actor::new(config);
     actor.restore(Now::read(), restored);
     let health = recorder.health();
@@ -71,7 +69,7 @@ pub fn spawn(
     };
     tokio::spawn(driver.run());
     let super::actor::Watches { state, info, frames, .. } = watches;
-    Handle { name, requests, fast_stops, state, info, custom_ids, frames, update_period_ms }
+    Handle { name, requests, fast_stops, state, info, frames }
 }
 
 struct Driver {
@@ -126,6 +124,9 @@ impl Driver {
     async fn run(mut self) {
         let mut back_off = FIRST_BACK_OFF;
         while !self.actor.is_draining() {
+            if let Some(connector) = self.actor.take_connector() {
+                (self.connector, back_off) = (connector, FIRST_BACK_OFF);
+            }
             if self.actor.is_released() {
                 let input = self.wait(None).await;
                 self.take_request(input);
@@ -151,7 +152,7 @@ impl Driver {
 
     /// Whether the gateway may connect.
     fn may_connect(&self) -> bool {
-        !self.actor.is_draining() && !self.actor.is_released()
+        !self.actor.is_draining() && !self.actor.is_released() && !self.actor.is_reconfiguring()
     }
 
     /// Connects, and serves requests meanwhile. Returns `None` if the gateway may no longer connect.
@@ -173,7 +174,7 @@ impl Driver {
             say_good_bye(&mut pipe, &[]).await;
         }
         if !self.actor.is_draining() {
-            self.actor.link_down(Now::read(), "released");
+            self.actor.link_down(Now::read(), "disconnected");
         }
         None
     }

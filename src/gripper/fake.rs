@@ -69,9 +69,9 @@ pub fn gripper(name: &str, script: FakeScript) -> (Handle, mpsc::UnboundedReceiv
     let actor = Actor { name: name.clone(), script, seen, states, commands, request_ids, lease: LeaseState::default() };
     tokio::spawn(actor.run(asked, stopped));
     let custom_ids = Arc::new(CustomIds { read: [READ_ID].into(), ..CustomIds::default() });
-    let info = watch::channel(Arc::new(info)).1;
+    let info = watch::channel(Arc::new(Info { custom_ids, update_period_ms: 10, ..info })).1;
     let frames = broadcast::Sender::new(1);
-    let handle = Handle { name, requests, fast_stops, state, info, custom_ids, frames, update_period_ms: 10 };
+    let handle = Handle { name, requests, fast_stops, state, info, frames };
     (handle, looked_at)
 }
 
@@ -158,6 +158,9 @@ impl Actor {
             ActorRequest::AcknowledgeFault { answer, .. } => {
                 let detail = "missing".to_owned();
                 let _ = answer.send(Err(Invalid::Malformed { field: "fast_stop_id", detail }.into()));
+            }
+            ActorRequest::Reconfigure { answer, .. } => {
+                let _ = answer.send(());
             }
             ActorRequest::Lease { answer } => {
                 let _ = answer.send(self.lease.view(clock::instant(), None));

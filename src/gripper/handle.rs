@@ -1,11 +1,14 @@
 //! The handle through which every interface uses a gripper. It is cheap to clone; the actor behind it owns the state.
 
+use std::fmt;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tokio::sync::{broadcast, mpsc, oneshot, watch};
 
+use super::actor::ActorConfig;
 use super::clock;
+use super::connector::Connector;
 use super::error::{Failure, Rejection};
 use super::info::Info;
 use super::lease::LeaseKeepAlive;
@@ -48,6 +51,20 @@ pub enum ActorRequest {
     Disconnect { client: Client, lease: Option<LeaseToken>, answer: Answer<()> },
     Connect { client: Client, lease: Option<LeaseToken>, answer: Answer<()> },
     Drain { answer: oneshot::Sender<()> },
+    Reconfigure { change: Box<Reconfiguration>, answer: oneshot::Sender<()> },
+}
+
+/// New configuration of a gripper.
+pub struct Reconfiguration {
+    pub config: ActorConfig,
+    /// New device; `None` if the gripper keeps its device.
+    pub connector: Option<Arc<dyn Connector>>,
+}
+
+impl fmt::Debug for Reconfiguration {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Reconfiguration").field("config", &self.config).finish_non_exhaustive()
+    }
 }
 
 /// Channel for a reply or a rejection.
@@ -167,15 +184,19 @@ pub struct Handle {
     pub(super) fast_stops: mpsc::Sender<FastStopRequest>,
     pub(super) state: watch::Receiver<Arc<State>>,
     pub(super) info: watch::Receiver<Arc<Info>>,
-    pub(super) custom_ids: Arc<CustomIds>,
     pub(super) frames: broadcast::Sender<Arc<WireRecord>>,
-    pub(super) update_period_ms: u16,
 }
 
 impl Handle {
     #[must_use]
     pub fn name(&self) -> &Name {
         &self.name
+    }
+
+    /// Whether both handles are for the same gripper of the same run.
+    #[must_use]
+    pub fn is_same(&self, other: &Self) -> bool {
+        self.requests.same_channel(&other.requests)
     }
 
     /// The newest state. Causes no request to the device.
@@ -208,7 +229,7 @@ impl Handle {
     /// Period of the device's updates.
     #[must_use]
     pub fn update_period_ms(&self) -> u16 {
-        self.update_period_ms
+        self.info.borrow().update_period_ms
     }
 
     /// Information about the device. Causes no request to the device.
@@ -220,12 +241,12 @@ impl Handle {
     /// Whether a custom command of this id is configured as read-only. All others may move the fingers.
     #[must_use]
     pub fn only_reads(&self, id: u8) -> bool {
-        self.custom_ids.read.contains(&id)
+        self.info.borrow().custom_ids.read.contains(&id)
     }
 
     #[must_use]
     pub fn custom_ids(&self) -> Arc<CustomIds> {
-        self.custom_ids.clone()
+        self.info.borrow().custom_ids.clone()
     }
 
     /// Submits a command. It is admitted and recorded, or rejected before anything was sent.
@@ -372,6 +393,14 @@ impl Handle {
     /// Lets the gateway connect to a released device again.
     pub async fn connect(&self, client: Client, lease: Option<LeaseToken>) -> Result<(), Rejection> {
         self.request_reserved(|answer| ActorRequest::Connect { client, lease, answer }).await?
+    }
+
+    /// Applies a new configuration. If that needs another link, a running command finishes first, and the disconnect is
+    /// announced, as in [`Handle::drain`].
+    pub async fn reconfigure(&self, change: Reconfiguration) {
+        let change = Box::new(change);
+        // An actor that has ended needs no configuration.
+        let _ = self.request_reserved(|answer| ActorRequest::Reconfigure { change, answer }).await;
     }
 
     /// Disconnects from the gripper for good: rejects new commands, lets a running one finish, announces the disconnect

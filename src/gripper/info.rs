@@ -1,9 +1,11 @@
 //! Information about a gripper's device, served by every interface as one flat body.
 
+use std::sync::Arc;
+
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::model::{Link, Name};
+use super::model::{CustomIds, Link, Name};
 use crate::wsg::{DeviceTag, Force, SystemInfo, SystemLimits};
 
 /// A gripper and its device.
@@ -76,6 +78,12 @@ pub struct Info {
     pub overdrive_force_n: Option<f32>,
     /// Additional features of this model and firmware: `temperature`, `fingers`, `overdrive`.
     pub capabilities: Vec<&'static str>,
+    /// Meaning of the ids of the gripper's scripts.
+    #[serde(skip)]
+    pub(super) custom_ids: Arc<CustomIds>,
+    /// Period of the device's updates.
+    #[serde(skip)]
+    pub(super) update_period_ms: u16,
 }
 
 /// First major firmware version with the finger interface and Get Temperature (`fw4-en 3.4.7`, `3.6`).
@@ -107,6 +115,8 @@ impl Info {
             nominal_force_n: None,
             overdrive_force_n: None,
             capabilities: Vec::new(),
+            custom_ids: Arc::default(),
+            update_period_ms: 0,
         }
     }
 

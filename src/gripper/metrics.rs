@@ -3,6 +3,8 @@
 //! The actor counts in [`GripperMetrics`]. Values of the newest state are gauges of [`Newest`], read when Prometheus
 //! collects them, without work for the actor.
 
+use std::cell::RefCell;
+use std::fmt;
 use std::sync::Arc;
 
 use prometheus::core::{Collector, Desc};
@@ -49,6 +51,29 @@ pub struct GripperMetrics {
     pub(super) fast_stop_sent: Histogram,
     pub(super) fast_stop_confirmed: Histogram,
     pub(super) parts_lost: IntCounter,
+    _registration: Arc<Registration>,
+}
+
+/// Registered collectors, which are removed from the registry when this is dropped.
+pub struct Registration {
+    registry: Registry,
+    collectors: Vec<Box<dyn Collector>>,
+}
+
+impl fmt::Debug for Registration {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Registration").field("collectors", &self.collectors.len()).finish_non_exhaustive()
+    }
+}
+
+impl Drop for Registration {
+    fn drop(&mut self) {
+        for collector in self.collectors.drain(..) {
+            if let Err(error) = self.registry.unregister(collector) {
+                tracing::error!(%error, "metric not removed");
+            }
+        }
+    }
 }
 
 impl GripperMetrics {
@@ -57,7 +82,7 @@ impl GripperMetrics {
     /// # Errors
     /// If a gripper of this name is already registered.
     pub fn register(registry: &Registry, gripper: &Name) -> Result<Self> {
-        let of = Of { registry, gripper };
+        let of = Of { registry, gripper, collectors: RefCell::default() };
         let frames = of.counters("wsg_frames_total", "Frames to and from the device.", &["direction"])?;
         let bytes = of.counters("wsg_bytes_total", "Bytes to and from the device.", &["direction"])?;
         let discarded = of.counters(
@@ -127,6 +152,7 @@ impl GripperMetrics {
                 &LATENCIES,
             )?,
             parts_lost: of.counter("wsg_parts_lost_total", "Held parts that were lost.")?,
+            _registration: Arc::new(of.registration()),
         })
     }
 }
@@ -148,12 +174,12 @@ pub struct Newest {
 }
 
 impl Newest {
-    /// Registers the gauges of one gripper, without keeping it alive.
+    /// Registers the gauges of one gripper until the returned value is dropped, without keeping the gripper alive.
     ///
     /// # Errors
     /// If a gripper of this name is already registered.
-    pub fn register(registry: &Registry, handle: &Handle) -> Result<()> {
-        let of = Of { registry, gripper: handle.name() };
+    pub fn register(registry: &Registry, handle: &Handle) -> Result<Registration> {
+        let of = Of { registry, gripper: handle.name(), collectors: RefCell::default() };
         let flag = |name, help| IntGauge::with_opts(of.opts(name, help));
         let value = |name, help| Gauge::with_opts(of.opts(name, help));
         let newest = Self {
@@ -181,7 +207,10 @@ impl Newest {
                 }),
             ],
         };
-        registry.register(Box::new(newest))
+        // The registry knows it by this description.
+        of.collectors.borrow_mut().push(Box::new(newest.link_up.clone()));
+        registry.register(Box::new(newest))?;
+        Ok(of.registration())
     }
 }
 
@@ -223,9 +252,14 @@ impl Collector for Newest {
 struct Of<'a> {
     registry: &'a Registry,
     gripper: &'a Name,
+    collectors: RefCell<Vec<Box<dyn Collector>>>,
 }
 
 impl Of<'_> {
+    fn registration(&self) -> Registration {
+        Registration { registry: self.registry.clone(), collectors: self.collectors.take() }
+    }
+
     fn opts(&self, name: &str, help: &str) -> Opts {
         Opts::new(name, help).const_label("gripper", self.gripper.as_str())
     }
@@ -248,6 +282,7 @@ impl Of<'_> {
 
     fn register<T: Collector + Clone + 'static>(&self, metric: T) -> Result<T> {
         self.registry.register(Box::new(metric.clone()))?;
+        self.collectors.borrow_mut().push(Box::new(metric.clone()));
         Ok(metric)
     }
 }
@@ -261,32 +296,33 @@ mod tests {
     async fn series_of_a_gripper_are_bounded_and_start_at_zero() {
         let registry = Registry::new();
         let (handle, _seen) = fake::gripper("left", FakeScript::default());
-        GripperMetrics::register(&registry, handle.name()).unwrap();
-        Newest::register(&registry, &handle).unwrap();
+        let metrics = GripperMetrics::register(&registry, handle.name()).unwrap();
+        let newest = Newest::register(&registry, &handle).unwrap();
         let text = prometheus::TextEncoder::new().encode_to_string(&registry.gather()).unwrap();
         let series = text.lines().filter(|line| !line.starts_with('#')).count();
         // Without an update, the age, temperature, state, width and force are missing; without a lease, its holder.
         assert_eq!(series, MAX_SERIES - 6, "{text}");
         assert!(text.contains("wsg_fast_stops_total{cause=\"client_lost\",gripper=\"left\"} 0"), "{text}");
+        drop((metrics, newest));
+        assert_eq!(prometheus::TextEncoder::new().encode_to_string(&registry.gather()).unwrap(), "");
+        GripperMetrics::register(&registry, handle.name()).unwrap();
     }
 
     #[tokio::test]
     async fn grippers_of_any_names_have_metrics() {
-        let registry = Registry::new();
+        let (registry, mut all) = (Registry::new(), Vec::new());
         for name in
             (0..500).flat_map(|index| [format!("gripper{index}"), format!("station-{index}"), format!("g{index}")])
         {
             let (handle, _seen) = fake::gripper(&name, FakeScript::default());
-            Newest::register(&registry, &handle).unwrap_or_else(|error| panic!("{name}: {error}"));
+            all.push(Newest::register(&registry, &handle).unwrap_or_else(|error| panic!("{name}: {error}")));
         }
     }
 
     #[test]
     fn grippers_share_families_and_a_name_registers_once() {
         let registry = Registry::new();
-        for name in ["left", "right"] {
-            GripperMetrics::register(&registry, &name.parse().unwrap()).unwrap();
-        }
+        let _both = ["left", "right"].map(|name| GripperMetrics::register(&registry, &name.parse().unwrap()).unwrap());
         assert!(GripperMetrics::register(&registry, &"left".parse().unwrap()).is_err());
     }
 }

@@ -55,12 +55,18 @@ pub(super) struct Observed {
 impl Observed {
     /// No known values, on a line of this speed.
     pub(super) fn new(rules: UpdateRules, bytes_per_second: Option<u32>) -> Self {
+        let mut new = Self::default();
+        new.set_rules(rules, bytes_per_second);
+        new
+    }
+
+    pub(super) fn set_rules(&mut self, rules: UpdateRules, bytes_per_second: Option<u32>) {
         let period = Duration::from_millis(period_ms(rules, bytes_per_second).into());
-        let is_on_change = rules.mode == UpdateMode::Changes;
+        self.is_on_change = rules.mode == UpdateMode::Changes;
         // A device whose values do not change sends nothing. It is polled after one period, so that its replies arrive
         // before the link counts as unresponsive.
-        let periods = if is_on_change { 1 } else { MISSED_PERIODS };
-        Self { renew_after: RENEW_AFTER.max(periods * period), is_on_change, ..Self::default() }
+        let periods = if self.is_on_change { 1 } else { MISSED_PERIODS };
+        self.renew_after = RENEW_AFTER.max(periods * period);
     }
 
     /// Whether the flags arriving now were overdue. A device that restarts forgets its automatic updates. Updates on

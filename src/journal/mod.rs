@@ -197,6 +197,14 @@ impl Journal {
         self.pool.read(move |reader| reader.curve(id)).await
     }
 
+    /// Returns the data of this run and of earlier ones, for grippers that are added while the gateway runs.
+    ///
+    /// # Errors
+    /// [`ReadError`], if the journal cannot be read.
+    pub async fn recall(&self) -> Result<Recovered, ReadError> {
+        self.pool.read(Reader::recall).await
+    }
+
     /// See [`Reader::command`].
     ///
     /// # Errors

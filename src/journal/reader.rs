@@ -10,6 +10,7 @@ use super::chain::Chain;
 use super::commands::command_of;
 use super::curve;
 use super::query::{EventQuery, GripQuery, Page, grip, page};
+use super::recovery::{self, Recovered};
 use super::schema::{Content, content};
 use super::source::{JournalLocation, ReadError, Source, no_file};
 use crate::gripper::model::{CommandId, CommandReport, Name, Sample};
@@ -133,6 +134,11 @@ impl Reader {
             statement.query_row(params![id.to_string(), gripper.as_str()], |row| row.get(0)).optional()
         })?;
         Ok(body.and_then(|body| command_of(&body)))
+    }
+
+    /// Returns the data of this run and of earlier ones.
+    pub(super) fn recall(&self) -> Result<Recovered, ReadError> {
+        self.with(recovery::recall)
     }
 
     /// Returns the sequence number of the newest event; 0 in an empty journal.

@@ -53,6 +53,12 @@ pub(super) fn recover(connection: &Connection) -> rusqlite::Result<(Recovered, V
     Ok((Recovered { memory, unclean, running: ids, requests }, events))
 }
 
+/// Reads the data of this run and of earlier ones, for grippers that are added while the gateway runs.
+pub(super) fn recall(connection: &Connection) -> rusqlite::Result<Recovered> {
+    let (memory, requests) = (memory(connection)?, requests(connection, now() - REPLAYED_FOR)?);
+    Ok(Recovered { memory, requests, ..Recovered::default() })
+}
+
 /// Reads the admission records of commands without an end.
 fn running(connection: &Connection) -> rusqlite::Result<Vec<CommandBody>> {
     let sql = "SELECT body FROM running JOIN events USING (seq) ORDER BY seq";

@@ -84,7 +84,7 @@ impl Call {
     pub fn gripper(&self) -> Result<Gripper, Problem> {
         let unknown = || Problem::not_found("gripper with this name").field("gripper");
         let name = self.params.part("gripper")?.parse().map_err(|_| unknown())?;
-        let handle = self.gateway.grippers.get(&name).ok_or_else(unknown)?.clone();
+        let handle = self.gateway.grippers.get(&name).ok_or_else(unknown)?;
         let Caller { client, lease, request_id, presence, .. } = self.caller.clone();
         // Operations that need no request id refuse an invalid one, too.
         let lease = lease.and_then(|lease| request_id.map(|_| lease));

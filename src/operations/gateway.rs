@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::audit::Audit;
+use super::reload::Reloads;
 use crate::access::Access;
 use crate::alarms::Alarms;
 use crate::events::LiveUpdates;
@@ -31,6 +32,7 @@ pub struct Gateway {
     pub trends: Arc<Trends>,
     /// Credentials of clients.
     pub access: Arc<Access>,
+    pub reloads: Reloads,
 }
 
 #[cfg(test)]
@@ -43,7 +45,7 @@ impl Gateway {
         let audit = Arc::new(Audit::new(journal.clone()));
         let peers = Arc::new(Peers::new(name.clone(), grippers.clone()));
         let alarms = Arc::new(Alarms::new(name.clone(), journal.clone(), &[]));
-        let updates = Arc::new(LiveUpdates::new(&grippers, journal.clone(), peers.clone(), alarms.clone()));
+        let updates = Arc::new(LiveUpdates::new(grippers.clone(), journal.clone(), peers.clone(), alarms.clone()));
         Arc::new(Self {
             name,
             grippers,
@@ -55,6 +57,7 @@ impl Gateway {
             webhooks: Arc::default(),
             trends: Arc::default(),
             access: Arc::default(),
+            reloads: Reloads::channel().0,
         })
     }
 }

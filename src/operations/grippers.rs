@@ -31,7 +31,7 @@ pub struct GripperList {
 
 fn list(call: &Call) -> Result<Json<GripperList>, Problem> {
     let NoFields {} = call.fields()?;
-    Ok(Json(GripperList { grippers: call.gateway.grippers.iter().map(Handle::info).collect() }))
+    Ok(Json(GripperList { grippers: call.gateway.grippers.all().iter().map(Handle::info).collect() }))
 }
 
 fn info(call: &Call) -> Result<Json<Arc<Info>>, Problem> {

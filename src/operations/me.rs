@@ -3,7 +3,6 @@
 use std::sync::Arc;
 
 use http::Method as Verb;
-use jiff::Timestamp;
 use serde::Serialize;
 use utoipa::ToSchema;
 
@@ -37,7 +36,7 @@ pub struct Me {
     grippers: Vec<GripperRole>,
     /// Time at which the credential expires; null if it does not.
     #[schema(value_type = Option<String>, format = DateTime)]
-    expires_at: Option<Timestamp>,
+    expires_at: Option<String>,
 }
 
 /// The role of a client for a gripper.
@@ -52,12 +51,14 @@ pub struct GripperRole {
 
 fn me(call: &Call) -> Result<Json<Me>, Problem> {
     let NoFields {} = call.fields()?;
-    let Identity { name, role, expires_at, proof, scope } = call.caller.identity.clone()?;
+    let Identity { name, role, expires_at, proof, scope, .. } = call.caller.identity.clone()?;
     // Reads are not limited to the credential's grippers.
     let elsewhere = role.has(Right::Read).then_some(Role::Observer);
     let role_for = |gripper: &Name| if scope.contains(Some(gripper)) { Some(role) } else { elsewhere };
-    let grippers = call.gateway.grippers.iter().map(crate::gripper::Handle::name);
+    let grippers = call.gateway.grippers.all();
+    let grippers = grippers.iter().map(crate::gripper::Handle::name);
     let grippers = grippers.map(|name| GripperRole { gripper: name.clone(), role: role_for(name) }).collect();
     let subject = call.caller.client.subject.clone();
+    let expires_at = expires_at.map(|at| format!("{at:.3}"));
     Ok(Json(Me { name, subject, role, proof, grippers, expires_at }))
 }

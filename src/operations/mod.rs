@@ -30,6 +30,7 @@ mod query_string;
 pub(crate) mod raw;
 pub(crate) mod readiness;
 pub(crate) mod records;
+pub mod reload;
 mod reply;
 mod rights;
 mod run;

@@ -11,7 +11,7 @@ use crate::gripper::model::{Link, State};
 #[derive(Debug, Serialize, ToSchema)]
 #[schema(example = json!({
     "gateway": "wsg", "version": "0.1.0", "ready": false, "journal_cause": null, "journal_damage": null, "zenoh_cause": null,
-    "not_ready": ["left: reconnecting: connection refused"]
+    "not_ready": ["left: reconnecting: connection refused"], "warnings": []
 }))]
 pub struct Readiness {
     /// The gateway's name.
@@ -35,18 +35,25 @@ pub struct Readiness {
     zenoh_cause: Option<String>,
     /// Grippers that are neither connected nor released: name, link state and cause.
     not_ready: Vec<String>,
+    /// Settings that are risky on a network, each with its meaning. They do not make the gateway unready.
+    warnings: Vec<String>,
 }
+
+/// Meaning of `insecure_http` on a network.
+pub const EXPOSED: &str = "connections are not encrypted (insecure_http): anyone on the network can read the tokens";
 
 impl Readiness {
     pub fn of(own: &Gateway) -> Self {
         let journal = own.journal.health().borrow().clone();
         let (journal_cause, journal_damage) = (journal.failure, journal.damage);
-        let not_ready: Vec<_> = own.grippers.iter().filter_map(|gripper| why_not_ready(&gripper.state())).collect();
+        let not_ready: Vec<_> =
+            own.grippers.all().iter().filter_map(|gripper| why_not_ready(&gripper.state())).collect();
         let zenoh_cause = own.peers.cause().borrow().clone().or_else(|| own.peers.why_no_motions());
         let ready =
             journal_cause.is_none() && journal_damage.is_none() && zenoh_cause.is_none() && not_ready.is_empty();
         let (gateway, version) = (own.name.to_string(), env!("CARGO_PKG_VERSION"));
-        Self { gateway, version, ready, journal_cause, journal_damage, zenoh_cause, not_ready }
+        let warnings = own.access.is_exposed().then(|| EXPOSED.to_owned()).into_iter().collect();
+        Self { gateway, version, ready, journal_cause, journal_damage, zenoh_cause, not_ready, warnings }
     }
 }
 

@@ -35,7 +35,14 @@ pub async fn run(
 ) -> Result<OperationReply, Problem> {
     let (client, gripper) = (caller.client.clone(), params.gripper());
     let running = match check(&gateway.access, operation.right, &caller.identity, gripper.as_ref()) {
-        Ok(()) => operation.start(Call { gateway: gateway.clone(), caller, params }),
+        Ok(()) => {
+            if let Some(session) = caller.identity.as_ref().ok().and_then(|identity| identity.session.as_ref()) {
+                // A page renews its lease by itself.
+                let is_change = operation.changes_something() && operation.urgency != Urgency::Lease;
+                gateway.access.note_use(session, is_change);
+            }
+            operation.start(Call { gateway: gateway.clone(), caller, params })
+        }
         Err(problem) => ready(Err(problem)).boxed(),
     };
     let running = AssertUnwindSafe(running).catch_unwind();

@@ -4,8 +4,8 @@ use http::Method as Verb;
 
 use super::operation::Operation;
 use super::{
-    alarms, commands, connection, device, fast_stop, fingers, fleet, grippers, lease, me, motion, raw, settings,
-    webhooks,
+    alarms, commands, connection, device, fast_stop, fingers, fleet, grippers, lease, me, motion, raw, reload,
+    settings, webhooks,
 };
 use crate::gripper::model::Urgency;
 
@@ -59,6 +59,7 @@ pub const OPERATIONS: &[Operation] = &[
     alarms::LIST,
     alarms::ACKNOWLEDGE,
     me::ME,
+    reload::RELOAD,
     webhooks::LIST,
     webhooks::TEST,
 ];

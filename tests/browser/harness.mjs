@@ -57,9 +57,9 @@ export async function until(what, look) {
 
 const program = process.env.WSG_GATEWAY_PROGRAM ?? join(ROOT, 'target/debug/wsg-gateway');
 
-/** Creates a token in a file, and returns its secret. */
-export function token(file, name, role) {
-  const created = spawnSync(program, ['token', '--tokens', file, 'create', '--name', name, '--role', role]);
+/** Creates a token or a PIN in a file, and returns its secret. */
+export function token(file, name, role, ...more) {
+  const created = spawnSync(program, ['token', '--tokens', file, 'create', '--name', name, '--role', role, ...more]);
   assert.equal(created.status, 0, String(created.stderr));
   return String(created.stdout).trim();
 }

@@ -17,7 +17,7 @@ async function guarded() {
   const file = join(directory, 'tokens.json');
   const [operator, observer] = ['operator', 'observer'].map((role) => token(file, `anna-${role}`, role));
   const served = await gateway({ more: ['--tokens', file], secret: operator });
-  return { served, operator, observer };
+  return { served, operator, observer, file };
 }
 
 async function signIn(page, secret) {
@@ -54,5 +54,26 @@ test('an observer sees the gripper and no way to move it', async () => {
   // The flags come after the controls.
   await page.waitForSelector('.flags');
   assert.equal(await page.locator('#take-control, #home, #grip').count(), 0);
+  await close();
+});
+
+test('a PIN adds a person\'s rights to a panel until it is locked', async () => {
+  const { served, observer, file } = await guarded();
+  const pin = token(file, 'berta', 'operator', '--pin');
+  const { page, close } = await visit(launched, served, {});
+  await signIn(page, observer);
+  await page.click('#enter-pin');
+  const enter = async (digits) => {
+    await page.fill('#pin', digits);
+    await page.click('.pin button[type=submit]');
+  };
+  await enter(pin === '000000' ? '000001' : '000000');
+  await page.waitForSelector('.pin [role=alert]');
+  await enter(pin);
+  await page.waitForSelector('#take-control');
+  assert.match(await page.locator('.signed-in').innerText(), /berta \(operator\)/);
+  await page.click('#lock');
+  await page.waitForSelector('#enter-pin');
+  assert.equal(await page.locator('#take-control').count(), 0);
   await close();
 });

@@ -134,6 +134,16 @@ async fn on_a_full_disk(gateway: &Gateway, proxy: &Proxy) -> Vec<String> {
     ids
 }
 
+/// Checks that `doctor` names the full disk and its remedy.
+async fn doctor_names_the_disk(journal: &str) {
+    let flags = ["--listen", "127.0.0.1:0", "--gripper", "g=sim://wsg50", "--zenoh-mode", "off", "--journal", journal];
+    let ended = run(&[&["doctor"][..], &flags].concat()).await;
+    let problems: Vec<_> = ended.stdout.lines().filter(|line| line.starts_with("PROBLEM")).collect();
+    let [problem] = problems[..] else { panic!("not one problem: {ended:?}") };
+    assert!(problem.contains("disk") && problem.contains("0 MB are free") && problem.contains("free some space"));
+    assert!(!ended.status.success(), "{ended:?}");
+}
+
 /// Checks that the journal has every command that a client saw.
 fn check_journal(path: &Path, reported: &BTreeSet<String>) {
     let reader = Reader::open(path).unwrap();
@@ -165,6 +175,7 @@ async fn full_disk_blocks_motion_but_not_fast_stop() {
             eventually("traffic", async || (proxy.frames.motions() > motions + 5).then_some(())).await;
             disk.fill();
             let fast_stops = on_a_full_disk(&gateway, &proxy).await;
+            doctor_names_the_disk(journal).await;
 
             disk.make_room();
             let (room_since, motions) = (Instant::now(), proxy.frames.motions());

@@ -13,6 +13,7 @@ use wsg_gateway::access::Right;
 use wsg_gateway::gripper::model::Urgency;
 use wsg_gateway::operations::{OPERATIONS, Operation};
 
+use crate::harness::wsg::Driver;
 use crate::harness::{Gateway, Socket, ZenohClient, run, socket_request};
 
 /// Arguments of `token create` for each kind of client, and its rights to the gripper `g`.
@@ -218,3 +219,62 @@ async fn fast_stop_needs_a_credential_if_configured() {
     gateway.send(stop().bearer_auth(&secrets[0])).await.ok();
     std::fs::remove_file(path).unwrap();
 }
+
+/// A gateway with a WSG port for `g`, and its address. Clients on loopback are known as `plc`, with this role.
+async fn port_of_known_clients(role: &str) -> (Gateway, std::net::SocketAddr) {
+    let toml = format!(
+        "[[clients]]\nname = \"plc\"\naddress = \"127.0.0.1\"\nrole = \"{role}\"\n\
+         [grippers.g]\nurl = \"sim://wsg50\"\nwsg_port = \"127.0.0.1:0\"\n"
+    );
+    let gateway = Gateway::with_file(&[], &toml).await;
+    let port = gateway.word_after("WSG port of g: tcp://").await.parse().unwrap();
+    gateway.until_link("connected").await;
+    (gateway, port)
+}
+
+#[tokio::test]
+async fn known_client_has_its_role_on_the_wsg_port() {
+    let (_gateway, port) = port_of_known_clients("observer").await;
+    let mut driver = Driver::connect(port).await;
+    assert_eq!(driver.status(0x43, &[0, 0, 0]).await, 0, "a read");
+    assert_eq!(driver.status(0x20, &[0]).await, E_ACCESS_DENIED, "a motion");
+    assert_eq!(driver.status(0x22, &[]).await, E_ACCESS_DENIED, "a Stop");
+    assert_eq!(driver.status(0x23, &[]).await, 0, "a FAST STOP");
+    driver.leave().await;
+
+    let (gateway, port) = port_of_known_clients("supervisor").await;
+    let mut driver = Driver::connect(port).await;
+    assert_eq!(driver.run(0x20, &[0]).await, 0);
+    driver.leave().await;
+    let events = gateway.events("kind=command", 2).await;
+    assert!(events.iter().all(|event| event["subject"] == "plc"), "{events:?}");
+}
+
+#[tokio::test]
+async fn page_of_a_listed_origin_can_use_the_api() {
+    let toml = "cors_origins = [\"https://hmi.example\"]\n[grippers.g]\nurl = \"sim://wsg50\"\n";
+    let gateway = Gateway::with_file(&[], toml).await;
+    let client = reqwest::Client::new();
+    let path = gateway.url("/api/v1/grippers/g/home");
+    let preflight = |origin: &str| {
+        let request = client.request(Method::OPTIONS, &path).header("Origin", origin);
+        request
+            .header("Access-Control-Request-Method", "POST")
+            .header("Access-Control-Request-Headers", "authorization")
+    };
+    let allowed = preflight("https://hmi.example").send().await.unwrap();
+    let headers = allowed.headers();
+    assert_eq!(headers["access-control-allow-origin"], "https://hmi.example");
+    assert!(headers["access-control-allow-headers"].to_str().unwrap().contains("authorization"));
+    assert!(!headers.contains_key("access-control-allow-credentials"));
+    let answer =
+        client.get(gateway.url("/api/v1/grippers")).header("Origin", "https://hmi.example").send().await.unwrap();
+    assert_eq!(answer.headers()["access-control-allow-origin"], "https://hmi.example");
+    for foreign in ["https://evil.example", "http://hmi.example", "null"] {
+        let refused = preflight(foreign).send().await.unwrap();
+        assert_eq!((refused.status().as_u16(), refused.headers().get("access-control-allow-origin")), (403, None));
+    }
+}
+
+/// Status of a refused request (`fw4-en 3.1.3`).
+const E_ACCESS_DENIED: u16 = 16;

@@ -68,7 +68,8 @@ fn locked(name: &str) -> String {
 #[test]
 fn dockerfile_sources_exist() {
     let manifest: toml::Table = read("Cargo.toml").parse().unwrap();
-    let rust = format!("rust:{}-bookworm AS build", manifest["package"]["rust-version"].as_str().unwrap());
+    let rust =
+        format!("docker.io/library/rust:{}-bookworm AS build", manifest["package"]["rust-version"].as_str().unwrap());
     assert!(instructions("FROM").contains(&rust), "{:?}", instructions("FROM"));
     let ignored = read(".dockerignore");
     for copied in instructions("COPY").iter().filter(|copied| !copied.starts_with("--from")) {
@@ -79,7 +80,7 @@ fn dockerfile_sources_exist() {
         }
     }
     let bin = manifest["bin"][0]["name"].as_str().unwrap();
-    assert!(instructions("RUN").contains(&format!("cargo build --release --locked --bin {bin}")));
+    assert!(instructions("RUN").contains(&format!("cargo build --release --locked --bin {bin} --features jemalloc")));
     assert!(instructions("COPY").contains(&format!("--from=build /src/target/release/{bin} /usr/local/bin/{bin}")));
     assert_eq!(instructions("ENTRYPOINT"), [format!("[\"{bin}\"]")]);
     // The gateway is not root, and keeps its journal in its state directory.

@@ -29,6 +29,7 @@ mod logs;
 mod metrics;
 mod noisy_udp;
 mod recordings;
+mod reload;
 mod replay;
 mod seeds;
 mod shutdown;

@@ -59,9 +59,10 @@ impl Actor {
             }
         }
         self.end_running(now, unwritten);
-        if let Some(answer) = self.end_release() {
+        if let Some(answer) = self.end_link_drain() {
             self.answers.add(answer, Ok(()));
         }
+        self.finish_reconfiguration();
         self.after_input(now);
     }
 

@@ -1,5 +1,6 @@
 //! Draining, the orderly disconnect: new commands are rejected, a running one finishes or is stopped, the disconnect is
-//! announced, and the link is closed. A drain ends the gripper, or releases the device to another program.
+//! announced, and the link is closed. A drain ends the gripper, releases the device to another program, or precedes a new
+//! configuration.
 
 use std::time::{Duration, Instant};
 
@@ -34,6 +35,8 @@ enum Ending {
     Gripper(Vec<oneshot::Sender<()>>),
     /// The link only, and the client that releases the device.
     Link(Answer<()>),
+    /// The link only, before a new configuration.
+    Configuration,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -81,6 +84,12 @@ impl Actor {
                 }
             }
             None => self.begin_drain(now, Ending::Gripper(vec![answer])),
+        }
+    }
+
+    pub(super) fn start_reconfiguration_drain(&mut self, now: Now) {
+        if self.drain.is_none() {
+            self.begin_drain(now, Ending::Configuration);
         }
     }
 
@@ -140,11 +149,11 @@ impl Actor {
         self.link.is_released()
     }
 
-    /// Ends a drain that releases the device, once the link is down. Returns the client to answer.
-    pub(super) fn end_release(&mut self) -> Option<Answer<()>> {
-        match self.drain.take_if(|drain| matches!(drain.ending, Ending::Link(_)))?.ending {
+    /// Ends a drain of the link alone, once the link is down. Returns the client to answer.
+    pub(super) fn end_link_drain(&mut self) -> Option<Answer<()>> {
+        match self.drain.take_if(|drain| !matches!(drain.ending, Ending::Gripper(_)))?.ending {
             Ending::Link(answer) => Some(answer),
-            Ending::Gripper(_) => None,
+            Ending::Gripper(_) | Ending::Configuration => None,
         }
     }
 

@@ -35,6 +35,7 @@ mod overdrive;
 mod persistence;
 mod publish;
 mod reads;
+mod reconfiguration;
 mod recording;
 mod repeats;
 mod running;
@@ -51,6 +52,7 @@ use std::time::Duration;
 use tokio::sync::{Notify, broadcast, watch};
 
 use super::Now;
+use super::connector::Connector;
 use super::handle::{ActorRequest, FastStopRequest};
 use super::info::Info;
 use super::latch::LatchState;
@@ -107,7 +109,6 @@ pub struct ActorConfig {
 }
 
 /// One gripper.
-#[derive(Debug)]
 pub struct Actor {
     config: ActorConfig,
     ids: IdSource,
@@ -126,6 +127,10 @@ pub struct Actor {
     scripts: Scripts,
     publication: Publication,
     answers: Answers,
+    /// A new configuration that waits for the end of the link.
+    pending: Option<reconfiguration::Pending>,
+    /// The new device, until the driver takes it.
+    connector: Option<Arc<dyn Connector>>,
 }
 
 /// Receivers of an actor's publications.
@@ -162,6 +167,8 @@ impl Actor {
             scripts: Scripts::default(),
             publication,
             answers: Answers::default(),
+            pending: None,
+            connector: None,
             config,
         };
         (actor, Watches { state, info, frames })
@@ -253,6 +260,7 @@ impl Actor {
             }
             ActorRequest::Connect { client, lease, answer } => self.connect(now, &client, lease.as_ref(), answer),
             ActorRequest::Drain { answer } => self.start_drain(now, answer),
+            ActorRequest::Reconfigure { change, answer } => self.reconfigure(now, change, answer),
         }
         self.after_input(now);
     }

@@ -7,6 +7,7 @@ use tokio::sync::watch;
 use super::super::Now;
 use super::super::info::Info;
 use super::super::model::{Fault, LatchFields, Link, State};
+use super::super::observed;
 use super::{Actor, ActorConfig};
 use crate::wsg::{DeviceTag, GripperState, SystemState, Temperature};
 
@@ -21,12 +22,7 @@ pub(super) struct Publication {
 
 impl Publication {
     pub(super) fn new(config: &ActorConfig) -> Self {
-        let info = Info::unknown(
-            config.name.clone(),
-            config.url.clone(),
-            config.properties.name,
-            config.properties.connection_oriented && config.fast_stop_on_disconnect,
-        );
+        let info = info_of(config);
         let state = State::unknown(config.name.clone());
         Self {
             sequence: 0,
@@ -44,9 +40,33 @@ impl Publication {
         self.info.send_modify(|info| change(Arc::make_mut(info)));
     }
 
+    /// Publishes a new configuration. What is known of the device stays, unless there is a new one.
+    pub(super) fn reconfigure(&self, config: &ActorConfig, is_new_device: bool) {
+        self.change_info(|info| {
+            let new = info_of(config);
+            *info = if is_new_device {
+                new
+            } else {
+                let Info { stops_on_gateway_loss, custom_ids, update_period_ms, .. } = new;
+                Info { stops_on_gateway_loss, custom_ids, update_period_ms, ..info.clone() }
+            };
+        });
+    }
+
     /// Whether the device is known to have this tag.
     pub(super) fn has_tag(&self, tag: &DeviceTag) -> bool {
         self.info.borrow().device_tag.as_deref() == Some(tag.as_str())
+    }
+}
+
+/// Returns what the configuration tells about a gripper.
+fn info_of(config: &ActorConfig) -> Info {
+    let stops_on_gateway_loss = config.properties.connection_oriented && config.fast_stop_on_disconnect;
+    let (name, url) = (config.name.clone(), config.url.clone());
+    Info {
+        custom_ids: Arc::new(config.custom_ids.clone()),
+        update_period_ms: observed::period_ms(config.updates, config.properties.bytes_per_second),
+        ..Info::unknown(name, url, config.properties.name, stops_on_gateway_loss)
     }
 }
 

@@ -59,6 +59,10 @@ impl Recording {
         }
     }
 
+    pub(super) fn set_on_failure(&mut self, on_failure: OnJournalFailure) {
+        self.on_failure = on_failure;
+    }
+
     pub(super) fn poll(&mut self) -> Option<(Record, Option<CommandId>)> {
         self.outbox.pop_front()
     }

@@ -146,6 +146,10 @@ impl MotionState {
         Self { pause, running: None, last_end: None, may_move_until: None }
     }
 
+    pub(super) fn set_pause(&mut self, pause: Duration) {
+        self.pause = pause;
+    }
+
     /// The command of this id, while it runs.
     pub(super) fn get_mut(&mut self, id: CommandId) -> Option<&mut Running> {
         self.running.as_mut().filter(|running| running.id == id)

@@ -38,6 +38,7 @@ macro_rules! codes {
         /// - `gateway_timeout`: the gateway that owns the gripper did not answer; the result is unknown.
         /// - `unauthorized`: the request needs a valid credential.
         /// - `forbidden`: the client's role or grippers do not allow the request.
+        /// - `invalid_configuration`: the new configuration cannot be used, so nothing has changed.
         #[derive(
             Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, strum::IntoStaticStr, strum::VariantArray,
         )]
@@ -92,6 +93,7 @@ codes! {
     GatewayTimeout 27 504;
     Unauthorized 28 401;
     Forbidden 29 403;
+    InvalidConfiguration 30 409;
 }
 
 impl Code {
@@ -141,6 +143,7 @@ mod tests {
             (27, "gateway_timeout"),
             (28, "unauthorized"),
             (29, "forbidden"),
+            (30, "invalid_configuration"),
         ];
         for pinned in pinned {
             assert!(numbers.contains(&pinned), "{pinned:?}");

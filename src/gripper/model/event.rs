@@ -333,6 +333,11 @@ pub enum GatewayEvent {
         /// Grippers, each as `name=URL`.
         grippers: Vec<String>,
     },
+    /// A new configuration is in use.
+    Reloaded {
+        /// What has changed, in words.
+        changes: Vec<String>,
+    },
     /// The previous run of the gateway did not shut down cleanly.
     UncleanEnd {
         /// Ids of the commands that were running; each gets the outcome `UNKNOWN`.

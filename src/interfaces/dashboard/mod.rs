@@ -51,6 +51,13 @@ const STYLES: [&str; 5] =
 #[derive(Debug, Clone)]
 pub struct FramePolicy(HeaderValue);
 
+impl Default for FramePolicy {
+    /// Allows no frames.
+    fn default() -> Self {
+        Self::of(&[]).unwrap_or(Self(HeaderValue::from_static("default-src 'none'")))
+    }
+}
+
 impl FramePolicy {
     /// Allows frames in pages of these origins.
     ///

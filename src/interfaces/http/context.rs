@@ -5,9 +5,8 @@ use std::sync::Arc;
 use prometheus::Registry;
 use tokio_util::sync::CancellationToken;
 
-use crate::interfaces::dashboard::FramePolicy;
+use super::settings::SharedSettings;
 use crate::interfaces::metrics::InterfaceMetrics;
-use crate::interfaces::tls::Tls;
 use crate::interfaces::{self, Runtimes};
 use crate::operations::Gateway;
 
@@ -22,12 +21,7 @@ pub struct HttpContext {
     pub metrics: InterfaceMetrics,
     pub ws_metrics: InterfaceMetrics,
     pub registry: Registry,
-    /// Host names that requests may use besides addresses and `localhost`, without ports.
-    pub allowed_hosts: Vec<String>,
-    /// Pages that can show the dashboard in a frame.
-    pub frame_policy: FramePolicy,
-    /// `None` if connections are not encrypted.
-    pub tls: Option<Arc<Tls>>,
+    pub settings: SharedSettings,
 }
 
 impl HttpContext {
@@ -52,9 +46,7 @@ impl HttpContext {
             metrics,
             ws_metrics,
             registry,
-            allowed_hosts: Vec::new(),
-            frame_policy: FramePolicy::of(&[]).unwrap(),
-            tls: None,
+            settings: SharedSettings::default(),
         }
     }
 }

@@ -9,22 +9,29 @@ use axum::http::header::{
     CACHE_CONTROL, CONTENT_SECURITY_POLICY, DATE, HOST, HeaderName, HeaderValue, ORIGIN, REFERRER_POLICY,
     X_CONTENT_TYPE_OPTIONS,
 };
-use axum::http::{HeaderMap, Version};
+use axum::http::{HeaderMap, Method as Verb, Version};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use jiff::fmt::rfc2822::DateTimePrinter;
+use tower_http::cors::{AllowHeaders, AllowOrigin, CorsLayer};
 
 use super::body;
 use super::context::HttpContext;
 use super::operation::Compact;
+use super::settings::{HttpSettings, SharedSettings};
 use crate::gripper::Now;
 use crate::operations::{Code, Problem};
 
 /// Middleware that refuses foreign hosts and origins, whatever the method. Any Content-Type is read as JSON, so without
 /// this check a plain form on another site could move a gripper.
-pub async fn refuse_foreigners(State(context): State<Arc<HttpContext>>, request: Request, next: Next) -> Response {
-    match check(&request, &context.allowed_hosts) {
-        Ok(()) => next.run(request).await,
+pub async fn refuse_foreigners(State(context): State<Arc<HttpContext>>, mut request: Request, next: Next) -> Response {
+    let settings = context.settings.get();
+    match check(&request, &settings) {
+        Ok(()) => {
+            // For the dashboard, whose frames other pages may have.
+            request.extensions_mut().insert(settings.frame_policy.clone());
+            next.run(request).await
+        }
         Err(problem) => {
             body::drain(request.into_body()).await;
             problem.into_response()
@@ -32,18 +39,30 @@ pub async fn refuse_foreigners(State(context): State<Arc<HttpContext>>, request:
     }
 }
 
-fn check(request: &Request, allowed: &[String]) -> Result<(), Problem> {
+/// Returns the layer that lets the pages of some foreign origins use the API (CORS). They cannot send cookies.
+pub fn foreign_pages(settings: SharedSettings) -> CorsLayer {
+    let allows = move |origin: &HeaderValue, _: &_| settings.get().allows_origin(origin);
+    CorsLayer::new()
+        .allow_origin(AllowOrigin::predicate(allows))
+        .allow_methods([Verb::GET, Verb::POST, Verb::PUT, Verb::DELETE])
+        .allow_headers(AllowHeaders::mirror_request())
+        // No response is cached.
+        .vary([])
+}
+
+fn check(request: &Request, settings: &HttpSettings) -> Result<(), Problem> {
     let host = authority(request)?;
     match &host {
-        Some(host) if !is_ours(host, allowed) => {
+        Some(host) if !is_ours(host, &settings.allowed_hosts) => {
             let detail = "the Host header must be an IP address, localhost or a configured host name";
             return Err(Problem::new(Code::ForeignHost, detail));
         }
         _ => {}
     }
     for origin in request.headers().get_all(ORIGIN) {
-        let same = origin.to_str().ok().zip(host.as_deref()).is_some_and(|(origin, host)| is_same(origin, host));
-        if !same {
+        let is_same = |(origin, host)| is_same(origin, host, settings.tls.is_some());
+        let same = origin.to_str().ok().zip(host.as_deref()).is_some_and(is_same);
+        if !same && !settings.allows_origin(origin) {
             let detail = "the Origin header is foreign: web pages of other origins can't use this gateway";
             return Err(Problem::new(Code::ForeignOrigin, detail));
         }
@@ -95,11 +114,12 @@ fn is_port(text: &str) -> bool {
     text.bytes().all(|byte| byte.is_ascii_digit()) && text.parse::<u16>().is_ok()
 }
 
-/// Whether an origin is the host that the request was sent to.
-fn is_same(origin: &str, host: &str) -> bool {
+/// Whether an origin is the host that the request was sent to. A proxy can add TLS to a gateway without it; a gateway
+/// with TLS has no pages without it.
+fn is_same(origin: &str, host: &str, has_tls: bool) -> bool {
     let origin = origin.to_ascii_lowercase();
-    let without_scheme = origin.strip_prefix("http://").or_else(|| origin.strip_prefix("https://"));
-    without_scheme == Some(host)
+    let plain = || origin.strip_prefix("http://").filter(|_| !has_tls);
+    origin.strip_prefix("https://").or_else(plain) == Some(host)
 }
 
 /// Policy of responses without their own policy: a browser must not load or run anything.
@@ -140,7 +160,10 @@ mod tests {
             request = request.header(name, *value);
         }
         let request = request.body(Body::empty()).unwrap();
-        check(&request, &["gateway.example".to_owned()]).err().map(|problem| problem.status().as_u16())
+        let allowed_hosts = vec!["gateway.example".to_owned()];
+        check(&request, &HttpSettings { allowed_hosts, ..HttpSettings::default() })
+            .err()
+            .map(|problem| problem.status().as_u16())
     }
 
     #[test]
@@ -183,7 +206,7 @@ mod tests {
     fn absolute_target_is_the_host() {
         let request = |uri: &str, host: &str| {
             let request = http::Request::get(uri).header(HOST, host).body(Body::empty()).unwrap();
-            check(&request, &[]).err().map(|problem| problem.status().as_u16())
+            check(&request, &HttpSettings::default()).err().map(|problem| problem.status().as_u16())
         };
         assert_eq!(request("http://127.0.0.1/", "127.0.0.1"), None);
         assert_eq!(request("http://evil.example/", "evil.example"), Some(403));

@@ -17,6 +17,7 @@ mod forward;
 mod gateway;
 mod guard;
 mod guide;
+mod handshakes;
 mod home;
 mod journal;
 mod large;
@@ -29,6 +30,7 @@ mod rights;
 mod router;
 mod server;
 mod session;
+mod settings;
 mod stream;
 mod turn;
 mod upgrade;
@@ -37,7 +39,8 @@ mod wait;
 
 pub use context::{API, HttpContext};
 pub use router::openapi;
-pub use server::{ServerLimits, listen, serve};
+pub use server::{Listeners, ServerLimits, listen, serve};
+pub use settings::{HttpSettings, SharedSettings};
 
 /// The AsyncAPI document as YAML.
 pub fn asyncapi() -> Result<String, serde_saphyr::ser::Error> {

@@ -145,7 +145,7 @@ mod tests {
     }
 
     fn nobody() -> Identified {
-        Identified::client_of(&Access::Open, &Extensions::new())
+        Identified::client_of(&Access::default(), &Extensions::new())
     }
 
     fn caller_of(headers: &[(&str, &str)]) -> Caller {

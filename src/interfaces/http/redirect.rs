@@ -1,6 +1,7 @@
 //! The answer to a client that does not speak TLS where TLS is needed.
 
 use std::convert::Infallible;
+use std::sync::Arc;
 
 use axum::http::header::{CONNECTION, HOST, HeaderValue, LOCATION};
 use axum::http::{Method, Request, Response, StatusCode};
@@ -11,14 +12,15 @@ use hyper_util::rt::{TokioIo, TokioTimer};
 use tokio::net::TcpStream;
 
 use super::guard::is_ours;
+use super::settings::HttpSettings;
 
 /// Maximum size of a request's header: the smallest that hyper supports.
 const MAX_HEADER_BYTES: usize = 8192;
 
 /// Answers one request. Only reads are redirected: a client that sends its token with a change must not get used to
 /// sending it in the clear.
-pub async fn answer(stream: TcpStream, allowed_hosts: Vec<String>) {
-    let service = service_fn(async |request| Ok::<_, Infallible>(response(&request, &allowed_hosts)));
+pub async fn answer(stream: TcpStream, settings: Arc<HttpSettings>) {
+    let service = service_fn(async |request| Ok::<_, Infallible>(response(&request, &settings.allowed_hosts)));
     let mut http = http1::Builder::new();
     let http = http.timer(TokioTimer::new()).max_buf_size(MAX_HEADER_BYTES);
     if let Err(error) = http.serve_connection(TokioIo::new(stream), service).await {

@@ -38,7 +38,7 @@ fn needs_read(verb: &Verb, route: &str) -> bool {
     let Some(path) = route.strip_prefix(API) else { return matches!(route, "/readyz" | "/metrics") };
     let verb = if verb == Verb::HEAD { &Verb::GET } else { verb };
     let is_checked = find(verb, path.trim_end_matches('/')).is_some() || forward::PATHS.contains(&path);
-    !is_checked && path != SESSION && path != super::upgrade::PATH && !docs::DOCUMENTS.contains(&path)
+    !is_checked && !SESSION.contains(&path) && path != super::upgrade::PATH && !docs::DOCUMENTS.contains(&path)
 }
 
 #[cfg(test)]

@@ -27,8 +27,8 @@ use crate::operations::{Code, Problem};
 
 pub fn router(context: &Arc<HttpContext>) -> Router {
     served()
-        .layer(Extension(context.frame_policy.clone()))
         .layer(middleware::from_fn_with_state(context.clone(), rights::check))
+        .layer(guard::foreign_pages(context.settings.clone()))
         .layer(middleware::from_fn_with_state(context.clone(), guard::refuse_foreigners))
         .layer(middleware::from_fn_with_state(context.clone(), audit::record))
         .layer(middleware::map_response(guard::harden))
@@ -131,7 +131,9 @@ fn api() -> Routes {
         .routes(routes!(paths::alarms::list))
         .routes(routes!(paths::alarms::acknowledge))
         .routes(routes!(paths::me::me))
+        .routes(routes!(paths::reload::reload))
         .routes(routes!(session::sign_in, session::sign_out))
+        .routes(routes!(session::enter_pin, session::forget_pin))
         .routes(routes!(paths::webhooks::list))
         .routes(routes!(paths::webhooks::test))
         .routes(routes!(paths::fast_stop::one))

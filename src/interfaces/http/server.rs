@@ -38,25 +38,26 @@ use tower::ServiceExt;
 
 use super::context::HttpContext;
 use super::fast_stop::{is_fast_stop, may_be_fast_stop};
+use super::handshakes::Handshakes;
 use super::home::Home;
 use super::operation::Compact;
 use super::redirect;
 use super::router::router;
-use super::visitor::Identified;
+use super::settings::HttpSettings;
+use super::visitor::{Identified, cookie_name};
+use crate::access::Origin;
 use crate::interfaces::admission::{Admission, Bounds, ConnectionPermit, Usage};
 use crate::interfaces::client_stream::{ClientStream, EncryptedStream};
 use crate::interfaces::metrics::Connected;
 use crate::interfaces::pace::RequestPace;
 use crate::interfaces::quick_ack::QuickAckStream;
 use crate::interfaces::sockets;
-use crate::interfaces::tls::Tls;
+use crate::interfaces::tls::common_name;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ServerLimits {
     /// Maximum number of concurrent connections, by class.
     pub bounds: Bounds,
-    /// Time that a connection can be idle between requests. It also bounds the time for a request's header to arrive.
-    pub idle_time: Duration,
     /// Time that running requests get to finish after a shutdown began.
     pub shutdown_time: Duration,
 }
@@ -99,6 +100,9 @@ const FIRST_LINE_WITHIN: Duration = Duration::from_millis(20);
 /// Time for a TLS handshake and the first line behind it while too many connections are leaving.
 const HANDSHAKE_IN_CROWD: Duration = Duration::from_millis(500);
 
+/// Time after which a handshake's turn ends although it continues: a client that has gone silent needs no processor.
+const HANDSHAKE_TURN: Duration = Duration::from_millis(20);
+
 /// First byte of a connection that speaks TLS (RFC 8446, 5.1).
 const TLS_HANDSHAKE: u8 = 22;
 
@@ -110,7 +114,7 @@ impl ServerLimits {
     #[must_use]
     pub fn within(bounds: Bounds) -> Self {
         // The grippers get 2 s to end their motions, and the responses must still be sent after that.
-        Self { bounds, idle_time: Duration::from_secs(10), shutdown_time: Duration::from_secs(3) }
+        Self { bounds, shutdown_time: Duration::from_secs(3) }
     }
 }
 
@@ -129,26 +133,22 @@ pub fn listen(address: SocketAddr) -> io::Result<TcpListener> {
     socket.listen(BACKLOG)
 }
 
+/// The listener, which a reload can replace.
+pub type Listeners = watch::Receiver<Arc<TcpListener>>;
+
 /// Serves until `shutdown`, then finishes the running requests.
-pub async fn serve(
-    listener: TcpListener,
-    context: Arc<HttpContext>,
-    limits: ServerLimits,
-    shutdown: CancellationToken,
-) {
+pub async fn serve(listeners: Listeners, context: Arc<HttpContext>, limits: ServerLimits, shutdown: CancellationToken) {
     let admission = Admission::new(limits.bounds);
     if let Err(error) = Usage::register(&context.registry, "http", &admission) {
         tracing::warn!(%error, "connection metrics unavailable");
     }
-    let (router, closing, seconds) = (router(&context), shutdown.child_token(), limits.idle_time.as_secs());
-    let keep_alive = HeaderValue::try_from(format!("timeout={seconds}")).unwrap_or(HeaderValue::from_static(""));
-    let server = Arc::new(Server { router, context, admission, limits, keep_alive, closing });
+    let (router, closing, handshakes) = (router(&context), shutdown.child_token(), Handshakes::default());
+    let server = Arc::new(Server { router, context, admission, limits, handshakes, closing });
     tokio::select! {
         biased;
         () = shutdown.cancelled() => {}
-        () = server.accept_all(&listener) => {}
+        () = server.accept_all(listeners) => {}
     }
-    drop(listener);
     // Each connection has a bound of its own on its end: this timeout covers a connection that hangs anyway.
     if timeout(limits.shutdown_time + SHUTDOWN_SLACK, server.admission.all_ended()).await.is_err() {
         tracing::warn!("connections closed before their requests were answered");
@@ -160,21 +160,29 @@ struct Server {
     context: Arc<HttpContext>,
     admission: Arc<Admission>,
     limits: ServerLimits,
-    /// Value of the `Keep-Alive` header.
-    keep_alive: HeaderValue,
+    handshakes: Handshakes,
     closing: CancellationToken,
 }
 
 impl Server {
-    async fn accept_all(self: &Arc<Self>, listener: &TcpListener) {
+    async fn accept_all(self: &Arc<Self>, mut listeners: Listeners) {
         let mut stalled_at: Option<Instant> = None;
+        let mut listener = listeners.borrow_and_update().clone();
         loop {
             // Evicted connections usually end at once.
             if self.admission.is_crowded() && stalled_at.is_none_or(|at| at.elapsed() > STALLED_FOR) {
                 let has_room = timeout(ROOM_WITHIN, self.admission.has_room()).await.is_ok();
                 stalled_at = (!has_room).then(Instant::now);
             }
-            match listener.accept().await {
+            let accepted = tokio::select! {
+                biased;
+                accepted = listener.accept() => accepted,
+                Ok(()) = listeners.changed() => {
+                    listener = listeners.borrow_and_update().clone();
+                    continue;
+                }
+            };
+            match accepted {
                 Ok((stream, peer)) if self.admission.is_crowded() => {
                     // Evicted connections end on the request runtimes, which can be busy. A FAST STOP must not wait for
                     // them.
@@ -208,8 +216,9 @@ impl Server {
     /// Admits a connection only if it begins with a FAST STOP.
     async fn admit_fast_stop(self: Arc<Self>, stream: TcpStream, peer: SocketAddr, place: OwnedSemaphorePermit) {
         let admit = || Arc::new(self.admission.admit(peer.ip(), &self.closing));
-        if let Some(tls) = &self.context.tls {
-            let begun = timeout(HANDSHAKE_IN_CROWD, self.decrypted(tls, stream, peer)).await;
+        let settings = self.context.settings.get();
+        if settings.tls.is_some() {
+            let begun = timeout(HANDSHAKE_IN_CROWD, self.decrypted(settings, stream, peer)).await;
             if let Some(begun) = begun.ok().flatten().filter(|begun| begun.is_fast_stop) {
                 self.clone().serve(begun, peer, admit(), self.context.metrics.connected());
             }
@@ -231,14 +240,17 @@ impl Server {
         permit: Arc<ConnectionPermit>,
         connected: Connected,
     ) {
-        let begun = match &self.context.tls {
-            None => self.inspected(stream, peer, &permit).await,
-            Some(tls) => tokio::select! {
+        let settings = self.context.settings.get();
+        let idle_time = settings.idle_time;
+        let begun = if settings.tls.is_none() {
+            self.inspected(stream, peer, &permit, idle_time).await
+        } else {
+            tokio::select! {
                 biased;
-                begun = self.decrypted(tls, stream, peer) => begun,
+                begun = self.decrypted(settings, stream, peer) => begun,
                 () = permit.evicted() => None,
-                () = sleep(self.limits.idle_time) => None,
-            },
+                () = sleep(idle_time) => None,
+            }
         };
         if let Some(begun) = begun {
             self.serve(begun, peer, permit, connected);
@@ -246,14 +258,20 @@ impl Server {
     }
 
     /// Inspects the first bytes of a connection, which stay to be read.
-    async fn inspected(&self, stream: TcpStream, peer: SocketAddr, permit: &ConnectionPermit) -> Option<Begun> {
+    async fn inspected(
+        &self,
+        stream: TcpStream,
+        peer: SocketAddr,
+        permit: &ConnectionPermit,
+        idle_time: Duration,
+    ) -> Option<Begun> {
         let mut first = [0; FIRST_BYTES];
         let mut seen = tokio::select! {
             biased;
             seen = stream.peek(&mut first) => seen.unwrap_or(0),
             // Bytes that arrived before the eviction still count.
             () = permit.evicted() => peek_now(&stream, &mut first),
-            () = sleep(self.limits.idle_time) => 0,
+            () = sleep(idle_time) => 0,
         };
         if seen == 0 {
             return None;
@@ -266,22 +284,23 @@ impl Server {
         // A connection that sends nothing never gets here and costs no call.
         prepare(&stream, peer)?;
         let is_fast_stop = may_be_fast_stop(first.get(..seen).unwrap_or_default());
-        Some(Begun { stream: ClientStream::Left(QuickAckStream::new(stream)), is_fast_stop })
+        Some(Begun { stream: ClientStream::Left(QuickAckStream::new(stream)), certificate: None, is_fast_stop })
     }
 
     /// Performs a TLS handshake, and reads the first line behind it. A client that does not speak TLS is redirected.
-    async fn decrypted(&self, tls: &Tls, stream: TcpStream, peer: SocketAddr) -> Option<Begun> {
+    async fn decrypted(&self, settings: Arc<HttpSettings>, stream: TcpStream, peer: SocketAddr) -> Option<Begun> {
         prepare(&stream, peer)?;
         let mut kind = [0];
         if stream.peek(&mut kind).await.ok()? == 0 {
             return None;
         }
         if kind != [TLS_HANDSHAKE] {
-            let answered = redirect::answer(stream, self.context.allowed_hosts.clone());
+            let answered = redirect::answer(stream, settings);
             let _ = AbortOnDropHandle::new(self.context.runtimes.requests.spawn(answered)).await;
             return None;
         }
-        let (acceptor, stream) = (tls.acceptor(), QuickAckStream::new(stream));
+        let turn = self.handshakes.turn(peer.ip()).await;
+        let (acceptor, stream) = (settings.tls.as_ref()?.acceptor(), QuickAckStream::new(stream));
         let handshake = async move {
             let mut stream = acceptor.accept(stream).await?;
             let mut first = BytesMut::with_capacity(FIRST_BYTES);
@@ -293,22 +312,30 @@ impl Server {
             io::Result::Ok((first.freeze(), stream))
         };
         // A handshake takes as much processor time as many requests, and a FAST STOP must not wait for it.
-        let handshake = AbortOnDropHandle::new(self.context.runtimes.requests.spawn(handshake)).await.ok()?;
+        let mut handshake = AbortOnDropHandle::new(self.context.runtimes.requests.spawn(handshake));
+        let in_turn = timeout(HANDSHAKE_TURN, &mut handshake).await;
+        drop(turn);
+        let handshake = match in_turn {
+            Ok(handshake) => handshake,
+            Err(_) => handshake.await,
+        };
         let (first, stream) =
-            handshake.inspect_err(|error| tracing::debug!(%peer, %error, "no TLS connection")).ok()?;
+            handshake.ok()?.inspect_err(|error| tracing::debug!(%peer, %error, "no TLS connection")).ok()?;
+        let certificate = stream.get_ref().1.peer_certificates().and_then(|chain| common_name(chain.first()?));
         let is_fast_stop = may_be_fast_stop(&first);
-        Some(Begun { stream: ClientStream::Right(Box::new(EncryptedStream::new(first, stream))), is_fast_stop })
+        let stream = ClientStream::Right(Box::new(EncryptedStream::new(first, stream)));
+        Some(Begun { stream, certificate, is_fast_stop })
     }
 
     /// Serves a connection on the matching runtime.
     fn serve(self: Arc<Self>, begun: Begun, peer: SocketAddr, permit: Arc<ConnectionPermit>, connected: Connected) {
-        let Begun { stream, is_fast_stop } = begun;
+        let Begun { stream, certificate, is_fast_stop } = begun;
         let runtimes = &self.context.runtimes;
         let runtime = if is_fast_stop { runtimes.accept.clone() } else { runtimes.requests.clone() };
         let (moves, home) = watch::channel(runtime.clone());
         let service = Requests {
             server: self.clone(),
-            peer,
+            origin: Origin { certificate, ..peer.ip().into() },
             permit: permit.clone(),
             home: Home::new(moves),
             pace: Arc::default(),
@@ -318,7 +345,7 @@ impl Server {
             .timer(TokioTimer::new())
             // The router adds the date, except to compact responses.
             .auto_date_header(false)
-            .header_read_timeout(self.limits.idle_time)
+            .header_read_timeout(self.context.settings.get().idle_time)
             .max_header_size(MAX_HEADER_BYTES)
             .max_buf_size(MAX_BUFFER_BYTES)
             .serve_connection(TokioIo::new(stream), service)
@@ -332,6 +359,8 @@ impl Server {
 /// A connection whose first line has been inspected.
 struct Begun {
     stream: ClientStream,
+    /// Common name of the client's certificate.
+    certificate: Option<Arc<str>>,
     /// Whether the connection begins with a FAST STOP.
     is_fast_stop: bool,
 }
@@ -388,7 +417,7 @@ impl Connection {
 #[derive(Clone)]
 struct Requests {
     server: Arc<Server>,
-    peer: SocketAddr,
+    origin: Origin,
     permit: Arc<ConnectionPermit>,
     home: Home,
     pace: Arc<RequestPace>,
@@ -409,25 +438,25 @@ impl Service<Request<Incoming>> for Requests {
         if !request.body().is_end_stream() {
             self.permit.receiving();
         }
-        let access = &self.server.context.gateway.access;
-        let identified = Identified::of(access, request.headers(), self.peer);
+        let (settings, access) = (self.server.context.settings.get(), &self.server.context.gateway.access);
+        let cookie = cookie_name(settings.tls.is_some());
+        let identified = Identified::of(access, request.headers(), self.origin.clone(), cookie);
         let extensions = request.extensions_mut();
         extensions.insert(identified);
         extensions.insert(self.permit.clone());
         extensions.insert(self.home.clone());
         extensions.insert(self.pace.clone());
-        let (keep_alive, is_tls) = (self.server.keep_alive.clone(), self.server.context.tls.is_some());
         let response = self.server.router.clone().oneshot(request.map(Body::new));
-        response.map_ok(move |response| with_headers(response, keep_alive, is_tls)).boxed()
+        response.map_ok(move |response| with_headers(response, &settings)).boxed()
     }
 }
 
 /// Tells the client how long an idle connection stays open, and browsers to use only TLS.
-fn with_headers(mut response: Response, keep_alive: HeaderValue, is_tls: bool) -> Response {
+fn with_headers(mut response: Response, settings: &HttpSettings) -> Response {
     let is_switched = response.status() == StatusCode::SWITCHING_PROTOCOLS;
     if !is_switched && response.extensions().get::<Compact>().is_none() {
-        response.headers_mut().insert(KEEP_ALIVE, keep_alive);
-        if is_tls {
+        response.headers_mut().insert(KEEP_ALIVE, settings.keep_alive());
+        if settings.tls.is_some() {
             response.headers_mut().insert(STRICT_TRANSPORT_SECURITY, ONLY_TLS);
         }
     }

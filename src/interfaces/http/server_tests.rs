@@ -19,12 +19,18 @@ struct Server {
 }
 
 async fn start(limits: ServerLimits, script: FakeScript) -> Server {
+    start_with(limits, HttpSettings::default(), script).await
+}
+
+async fn start_with(limits: ServerLimits, settings: HttpSettings, script: FakeScript) -> Server {
     let (handle, seen) = fake::gripper("left", script);
     let context = HttpContext::of([handle]);
+    context.settings.replace(settings);
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap();
     let shutdown = CancellationToken::new();
-    let task = tokio::spawn(serve(listener, Arc::new(context), limits, shutdown.clone()));
+    let (_, listeners) = watch::channel(Arc::new(listener));
+    let task = tokio::spawn(serve(listeners, Arc::new(context), limits, shutdown.clone()));
     Server { address, shutdown, task, seen }
 }
 
@@ -86,8 +92,8 @@ async fn http_1_0_without_a_host_is_served() {
 
 #[tokio::test]
 async fn keep_alive_states_the_idle_time() {
-    let limits = ServerLimits { idle_time: Duration::from_secs(25), ..ServerLimits::default() };
-    let server = start(limits, FakeScript::default()).await;
+    let settings = HttpSettings { idle_time: Duration::from_secs(25), ..HttpSettings::default() };
+    let server = start_with(ServerLimits::default(), settings, FakeScript::default()).await;
     let mut stream = server.connect().await;
     stream.write_all(HEALTH).await.unwrap();
     let answer = answer(&mut stream).await;
@@ -123,11 +129,12 @@ async fn status_response_is_smaller_than_256_bytes() {
 
 #[tokio::test]
 async fn incomplete_header_times_out() {
-    let limits = ServerLimits { idle_time: Duration::from_millis(50), ..ServerLimits::default() };
-    let server = start(limits, FakeScript::default()).await;
+    let idle_time = Duration::from_millis(50);
+    let settings = HttpSettings { idle_time, ..HttpSettings::default() };
+    let server = start_with(ServerLimits::default(), settings, FakeScript::default()).await;
     let start = Instant::now();
     assert_eq!(server.exchange(b"GET /healthz HTTP/1.1\r\nHost: loc").await, "");
-    assert!(start.elapsed() >= limits.idle_time);
+    assert!(start.elapsed() >= idle_time);
 }
 
 #[tokio::test]

@@ -13,13 +13,13 @@ use utoipa::ToSchema;
 use super::body;
 use super::context::HttpContext;
 use super::paths::responses::SessionProblem;
-use super::visitor::{SECURE_COOKIE, SESSION_COOKIE, session};
+use super::visitor::{cookie_name, session};
 use crate::access::{Identity, Role, SessionId, TokenSecret, Unauthorized};
 use crate::operations::json::parse;
 use crate::operations::{Code, Problem};
 
-/// Path of the session.
-pub const SESSION: &str = "/session";
+/// Paths of the session.
+pub const SESSION: [&str; 2] = ["/session", "/session/pin"];
 
 /// The token to sign in with.
 #[derive(Deserialize, ToSchema)]
@@ -69,15 +69,61 @@ pub async fn sign_in(Shared(context): Shared<Arc<HttpContext>>, request: Request
     responses((status = 204, description = "No session is open"), SessionProblem)
 )]
 pub async fn sign_out(Shared(context): Shared<Arc<HttpContext>>, request: Request) -> Result<Response, Problem> {
-    if let Some(id) = session(request.headers()) {
+    if let Some(id) = open_session(&context, &request) {
         context.gateway.access.sign_out(&id);
     }
     Ok((StatusCode::NO_CONTENT, [(SET_COOKIE, cookie(&context, None)?)]).into_response())
 }
 
+/// The PIN of a person at a shared panel.
+#[derive(Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(example = json!({"pin": "381902"}))]
+pub struct EnterPin {
+    /// A PIN, as `wsg-gateway token create --pin` prints it.
+    #[schema(max_length = 6, pattern = "^[0-9]{6}$")]
+    pin: String,
+}
+
+/// Enter a PIN
+///
+/// Adds a person's rights to the browser's session, until `DELETE` or until they are unused for a while. After five
+/// wrong PINs, the sessions of one token have to wait for a minute.
+#[utoipa::path(
+    post, path = "/session/pin", operation_id = "enter_pin", tag = "gateway", request_body = EnterPin,
+    responses((status = 200, description = "The person's rights are added", body = SignedIn), SessionProblem)
+)]
+pub async fn enter_pin(Shared(context): Shared<Arc<HttpContext>>, request: Request) -> Result<Json<SignedIn>, Problem> {
+    let id = open_session(&context, &request).ok_or(Unauthorized::SessionEnded)?;
+    let EnterPin { pin } = parse(&body::bytes(request.into_body()).await?)?;
+    let pin = pin.parse().map_err(|_| Unauthorized::WrongPin)?;
+    let Identity { name, role, .. } = context.gateway.access.enter_pin(&id, &pin)?;
+    Ok(Json(SignedIn { name: name.map(|name| name.to_string()).unwrap_or_default(), role }))
+}
+
+/// Forget the PIN
+///
+/// Takes the rights of a PIN away from the browser's session. Without them, nothing happens.
+#[utoipa::path(
+    delete, path = "/session/pin", operation_id = "forget_pin", tag = "gateway",
+    responses((status = 204, description = "The session has its own rights only"), SessionProblem)
+)]
+pub async fn forget_pin(Shared(context): Shared<Arc<HttpContext>>, request: Request) -> StatusCode {
+    if let Some(id) = open_session(&context, &request) {
+        context.gateway.access.forget_pin(&id);
+    }
+    StatusCode::NO_CONTENT
+}
+
+/// Returns the session that a request names.
+fn open_session(context: &HttpContext, request: &Request) -> Option<SessionId> {
+    session(request.headers(), cookie_name(context.settings.get().tls.is_some()))
+}
+
 /// Returns the cookie of a session, or one that deletes it. No script can read it, and no other site can send it.
 fn cookie(context: &HttpContext, id: Option<&SessionId>) -> Result<HeaderValue, Problem> {
-    let (name, secure) = if context.tls.is_some() { (SECURE_COOKIE, "; Secure") } else { (SESSION_COOKIE, "") };
+    let has_tls = context.settings.get().tls.is_some();
+    let (name, secure) = (cookie_name(has_tls), if has_tls { "; Secure" } else { "" });
     let end = if id.is_some() { "" } else { "; Max-Age=0" };
     let id = id.map_or("", SessionId::expose);
     let cookie = format!("{name}={id}; Path=/; HttpOnly; SameSite=Strict{secure}{end}");

@@ -178,7 +178,7 @@ impl Stream {
                     Ok(None) => return None,
                     Err(()) => tokio::time::sleep(READ_RETRY_PAUSE).await,
                 },
-                Some(frame) = self.updates.next() => self.ready.push_back(frame),
+                frame = self.updates.next() => self.ready.push_back(frame),
                 missed = self.pace.next(), if self.updates.has_states() => {
                     let (newest, dropped) = self.updates.newest(missed);
                     self.ready.extend(newest);
@@ -237,7 +237,7 @@ mod tests {
     use prometheus::TextEncoder;
 
     use super::*;
-    use crate::access::Credential;
+    use crate::access::{Credential, Origin};
     use crate::gripper::fake::{self, FakeScript};
     use crate::gripper::model::{Client, Door, FastStopId, Reason};
 
@@ -246,7 +246,7 @@ mod tests {
         let (handle, _seen) = fake::gripper("left", FakeScript::default());
         let context = HttpContext::of([handle.clone()]);
         let uri = Uri::from_static("/stream?topics=state,telemetry&max_hz=10");
-        let nobody = Visitor { credential: Credential::None, peer: None };
+        let nobody = Visitor { credential: Credential::None, origin: Origin::default() };
         let mut stream = Stream::new(&context, nobody, &HeaderMap::new(), &uri).unwrap();
         // No time passes between the changes; each is sent as a state and as telemetry.
         for (changes, later_ms, expected) in [(0, 0, 0), (3, 0, 0), (3, 350, 4), (1, 350, 4), (10, 100, 4)] {

@@ -1,18 +1,21 @@
 //! The client behind a request, and what it presents.
 
-use std::net::SocketAddr;
-
 use axum::http::header::{AUTHORIZATION, COOKIE, HeaderValue};
 use axum::http::{Extensions, HeaderMap};
 
-use crate::access::{Access, Credential, Identity, SessionId, Unauthorized, Visitor};
+use crate::access::{Access, Credential, Identity, Origin, SessionId, Unauthorized, Visitor};
 use crate::gripper::model::{Client, Door, Name};
 
 /// Name of the cookie with a session's id.
 pub const SESSION_COOKIE: &str = "wsg_session";
 
 /// Name of that cookie over TLS. Browsers accept such a name only from this very host (RFC 6265bis, 4.1.3.2).
-pub const SECURE_COOKIE: &str = "__Host-wsg_session";
+const SECURE_COOKIE: &str = "__Host-wsg_session";
+
+/// Returns the name of the session's cookie. With TLS, a cookie that was set without it does not count.
+pub fn cookie_name(has_tls: bool) -> &'static str {
+    if has_tls { SECURE_COOKIE } else { SESSION_COOKIE }
+}
 
 /// The client behind a request, identified when the request arrived.
 #[derive(Debug, Clone)]
@@ -22,8 +25,8 @@ pub struct Identified {
 }
 
 impl Identified {
-    pub fn of(access: &Access, headers: &HeaderMap, peer: SocketAddr) -> Self {
-        let visitor = Visitor { credential: credential(headers), peer: Some(peer.ip().to_canonical()) };
+    pub fn of(access: &Access, headers: &HeaderMap, origin: Origin, cookie: &str) -> Self {
+        let visitor = Visitor { credential: credential(headers, cookie), origin };
         let identity = visitor.identity(access);
         Self { visitor, identity }
     }
@@ -31,7 +34,7 @@ impl Identified {
     /// Returns the client of a request. A request that no connection brought comes from nobody.
     pub fn client_of(access: &Access, extensions: &Extensions) -> Self {
         extensions.get().cloned().unwrap_or_else(|| {
-            let visitor = Visitor { credential: Credential::None, peer: None };
+            let visitor = Visitor { credential: Credential::None, origin: Origin::default() };
             let identity = visitor.identity(access);
             Self { visitor, identity }
         })
@@ -42,7 +45,7 @@ impl Identified {
         let name = self.identity.as_ref().ok().and_then(|identity| identity.name.as_ref());
         let by_address = || {
             let door = if door == Door::Ws { "ws" } else { "http" };
-            self.visitor.peer.map_or_else(|| format!("{door}:unknown"), |peer| format!("{door}:{peer}"))
+            self.visitor.origin.address.map_or_else(|| format!("{door}:unknown"), |peer| format!("{door}:{peer}"))
         };
         let subject = name.map_or_else(by_address, Name::to_string);
         Client::new(subject, door)
@@ -56,10 +59,10 @@ pub fn client(extensions: &Extensions) -> Client {
 }
 
 /// Returns what a request presents. A token precedes a session, since only programs send tokens.
-fn credential(headers: &HeaderMap) -> Credential {
+fn credential(headers: &HeaderMap, cookie: &str) -> Credential {
     let mut tokens = headers.get_all(AUTHORIZATION).iter();
     match (tokens.next(), tokens.next()) {
-        (None, _) => session(headers).map_or(Credential::None, Credential::Session),
+        (None, _) => session(headers, cookie).map_or(Credential::None, Credential::Session),
         (Some(token), None) => bearer(token).map_or(Credential::Malformed, Credential::Token),
         (Some(_), Some(_)) => Credential::Malformed,
     }
@@ -71,11 +74,11 @@ fn bearer(value: &HeaderValue) -> Option<crate::access::TokenSecret> {
     scheme.eq_ignore_ascii_case("Bearer").then(|| token.trim().parse().ok())?
 }
 
-/// Returns the session in a request's cookies.
-pub fn session(headers: &HeaderMap) -> Option<SessionId> {
+/// Returns the session in a request's cookie of this name.
+pub fn session(headers: &HeaderMap, cookie: &str) -> Option<SessionId> {
     let cookies = headers.get_all(COOKIE).iter().filter_map(|value| value.to_str().ok());
     let mut pairs = cookies.flat_map(|value| value.split(';')).filter_map(|pair| pair.trim().split_once('='));
-    pairs.find(|(name, _)| [SESSION_COOKIE, SECURE_COOKIE].contains(name)).and_then(|(_, id)| SessionId::parse(id))
+    pairs.find(|(name, _)| *name == cookie).and_then(|(_, id)| SessionId::parse(id))
 }
 
 #[cfg(test)]
@@ -88,8 +91,8 @@ mod tests {
 
     #[test]
     fn client_is_known_by_its_address() {
-        let peer = "[::ffff:10.0.0.7]:5000".parse().unwrap();
-        let identified = Identified::of(&Access::Open, &HeaderMap::new(), peer);
+        let peer: std::net::IpAddr = "::ffff:10.0.0.7".parse().unwrap();
+        let identified = Identified::of(&Access::default(), &HeaderMap::new(), peer.into(), SESSION_COOKIE);
         assert_eq!(&*identified.client(Door::Http).subject, "http:10.0.0.7");
     }
 
@@ -98,19 +101,31 @@ mod tests {
         let token = crate::access::TokenSecret::generate().unwrap();
         let [upper, lower] = ["Bearer", "bearer"].map(|scheme| format!("{scheme} {}", token.expose()));
         for value in [&upper, &lower] {
-            assert_eq!(credential(&headers("authorization", &[value])), Credential::Token(token.clone()));
+            assert_eq!(
+                credential(&headers("authorization", &[value]), SESSION_COOKIE),
+                Credential::Token(token.clone())
+            );
         }
         for values in [&["Basic YTpi"][..], &["Bearer"], &["Bearer x"], &[token.expose()], &[&upper, &upper]] {
-            assert_eq!(credential(&headers("authorization", values)), Credential::Malformed, "{values:?}");
+            assert_eq!(
+                credential(&headers("authorization", values), SESSION_COOKIE),
+                Credential::Malformed,
+                "{values:?}"
+            );
         }
-        assert_eq!(credential(&HeaderMap::new()), Credential::None);
+        assert_eq!(credential(&HeaderMap::new(), SESSION_COOKIE), Credential::None);
     }
 
     #[test]
     fn session_is_one_of_the_cookies() {
         let id = "x".repeat(43);
-        let found = credential(&headers("cookie", &[&format!("a=b; wsg_session={id}"), "c=d"]));
+        let found = credential(&headers("cookie", &[&format!("a=b; wsg_session={id}"), "c=d"]), SESSION_COOKIE);
         assert_eq!(found, Credential::Session(SessionId::parse(&id).unwrap()));
-        assert_eq!(credential(&headers("cookie", &["wsg_session=short", "xwsg_session=y"])), Credential::None);
+        let planted = credential(&headers("cookie", &[&format!("wsg_session={id}")]), cookie_name(true));
+        assert_eq!(planted, Credential::None, "set without TLS");
+        assert_eq!(
+            credential(&headers("cookie", &["wsg_session=short", "xwsg_session=y"]), SESSION_COOKIE),
+            Credential::None
+        );
     }
 }

@@ -85,11 +85,10 @@ async fn updates(following: &mut Option<(Subscription, Pace)>) -> (Vec<Notificat
     let mut gathered = tokio::select! {
         biased;
         missed = pace.next(), if has_states => return updates.newest(missed),
-        Some(update) = updates.next() => vec![update],
-        else => return std::future::pending().await,
+        update = updates.next() => vec![update],
     };
     while gathered.len() < MAX_GATHERED
-        && let Some(Some(next)) = updates.next().now_or_never()
+        && let Some(next) = updates.next().now_or_never()
     {
         gathered.push(next);
     }

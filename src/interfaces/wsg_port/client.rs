@@ -1,5 +1,6 @@
 //! The I/O around one client's virtual device, and its requests to the gripper on behalf of that client.
 
+use std::net::IpAddr;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -12,7 +13,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::device::{PortOrder, PortOrdered, PortReply, PortRequest, VirtualDevice};
 use super::port::Port;
-use super::refusals::Refusals;
+use super::refusals::{Cause, Refusals, Refused};
 use super::status::{RefusedStatus, status_of_end};
 use crate::gripper::clock::{self, sleep_until};
 use crate::gripper::model::{
@@ -39,6 +40,7 @@ const LAST_WORDS_WITHIN: Duration = Duration::from_millis(500);
 pub(super) struct Served<R, W> {
     port: Arc<Port>,
     client: Client,
+    address: IpAddr,
     /// Lease token of the client's motions.
     token: LeaseToken,
     device: VirtualDevice,
@@ -96,7 +98,7 @@ enum End {
 impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
     pub(super) fn new(
         port: Arc<Port>,
-        client: Client,
+        (client, address): (Client, IpAddr),
         permit: Arc<ConnectionPermit>,
         (reader, writer): (R, W),
         silence: Option<Duration>,
@@ -106,6 +108,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
         Self {
             port,
             client,
+            address,
             token: LeaseToken::generate(),
             device,
             under_way: FuturesUnordered::new(),
@@ -298,8 +301,26 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
         while let Some(ordered) = self.device.poll_order() {
             self.uses_scripts |= matches!(&ordered.order, PortOrder::Exchange(wsg::Command::Custom(custom))
                 if !self.port.gripper.only_reads(custom.id()));
-            let step = self.step_of(ordered);
-            self.begin(step);
+            if self.is_allowed(&ordered.order) {
+                let step = self.step_of(ordered);
+                self.begin(step);
+            } else {
+                let (ask, status) = (ordered.ask, Status::E_ACCESS_DENIED);
+                let refused = Refused { id: ask.id, status, cause: Cause::Forbidden };
+                self.refusals.record(&self.port, &self.client, &refused);
+                self.answer(ask, PortReply::Refused(RefusedStatus { status, fast_stop: None }));
+            }
+        }
+    }
+
+    /// Whether the client's role allows an order. A FAST STOP, a read and the end of a lease need none.
+    fn is_allowed(&self, order: &PortOrder) -> bool {
+        match order {
+            PortOrder::FastStop | PortOrder::Release => true,
+            PortOrder::Command(Action::Stop) => self.port.may_stop(self.address),
+            PortOrder::Exchange(wsg::Command::Custom(custom)) if self.port.gripper.only_reads(custom.id()) => true,
+            PortOrder::Exchange(command) if command.is_read() => true,
+            _ => self.port.may_operate(self.address),
         }
     }
 

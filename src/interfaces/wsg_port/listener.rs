@@ -17,6 +17,24 @@ pub enum ListenAddress {
     Udp(SocketAddr, Datagrams),
 }
 
+impl ListenAddress {
+    /// Whether both stand for one socket, whatever its settings.
+    #[must_use]
+    pub fn is_same_socket(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Self::Tcp(one), Self::Tcp(other)) | (Self::Udp(one, _), Self::Udp(other, _)) => one == other,
+            _ => false,
+        }
+    }
+
+    /// Whether the system chooses the port.
+    #[must_use]
+    pub fn is_any_port(&self) -> bool {
+        let (Self::Tcp(address) | Self::Udp(address, _)) = self;
+        address.port() == 0
+    }
+}
+
 impl fmt::Display for ListenAddress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -46,6 +64,15 @@ impl Listener {
                 socket.set_nonblocking(true)?;
                 Self::Udp(socket, datagrams)
             }
+        })
+    }
+
+    /// Returns the same socket, to be served with the settings of this address.
+    pub fn again(&self, address: ListenAddress) -> io::Result<Self> {
+        Ok(match (self, address) {
+            (Self::Tcp(listener), _) => Self::Tcp(listener.try_clone()?),
+            (Self::Udp(socket, _), ListenAddress::Udp(_, datagrams)) => Self::Udp(socket.try_clone()?, datagrams),
+            (Self::Udp(socket, datagrams), ListenAddress::Tcp(_)) => Self::Udp(socket.try_clone()?, *datagrams),
         })
     }
 

@@ -7,6 +7,7 @@ use std::time::Duration;
 use ipnet::IpNet;
 use tokio_util::sync::CancellationToken;
 
+use crate::access::{Access, Identity, Right};
 use crate::gripper::Handle;
 use crate::gripper::model::{Client, Door};
 use crate::interfaces::admission::{Admission, Bounds, ConnectionPermit};
@@ -46,6 +47,7 @@ pub struct Port {
     /// Maximum number of descriptors for TCP clients.
     descriptors: usize,
     pub(super) audit: Arc<Audit>,
+    access: Arc<Access>,
     pub(super) metrics: WsgPortMetrics,
 }
 
@@ -56,11 +58,10 @@ impl Port {
         gripper: Handle,
         rules: Rules,
         descriptors: usize,
-        audit: Arc<Audit>,
-        metrics: WsgPortMetrics,
+        (audit, access, metrics): (Arc<Audit>, Arc<Access>, WsgPortMetrics),
     ) -> Arc<Self> {
         let descriptors = descriptors.clamp(MIN_DESCRIPTORS, MAX_DESCRIPTORS);
-        Arc::new(Self { gripper, rules, descriptors, audit, metrics })
+        Arc::new(Self { gripper, rules, descriptors, audit, access, metrics })
     }
 
     pub(super) fn admission(&self) -> Arc<Admission> {
@@ -74,14 +75,37 @@ impl Port {
         Arc::new(admission.admit(peer.ip(), &CancellationToken::new()))
     }
 
+    /// Whether a client may connect: from an allowed network, or as a known client. Without a list of networks, a gateway
+    /// that needs credentials accepts known clients and its own host; others accept every client.
     pub(super) fn allows(&self, peer: IpAddr) -> bool {
         let peer = peer.to_canonical();
-        self.rules.allow.is_empty() || self.rules.allow.iter().any(|net| net.contains(&peer))
+        let is_open = || self.rules.allow.is_empty() && (peer.is_loopback() || !self.access.is_guarded());
+        let is_allowed = || self.rules.allow.iter().any(|net| net.contains(&peer));
+        is_open() || is_allowed() || self.identity(peer).is_some()
     }
 
-    /// Returns a client identified by its IP address, for lack of authentication. A restarted driver is the same
+    /// The identity of a client that the configuration knows by its address.
+    fn identity(&self, peer: IpAddr) -> Option<Identity> {
+        self.access.of_address(&peer.into())
+    }
+
+    /// Whether a client may move this gripper and change its settings. The list of allowed networks admits operators.
+    pub(super) fn may_operate(&self, peer: IpAddr) -> bool {
+        let gripper = Some(self.gripper.name());
+        self.identity(peer).is_none_or(|identity| identity.may(Right::Operate, gripper))
+    }
+
+    /// Whether a client may stop this gripper's motion.
+    pub(super) fn may_stop(&self, peer: IpAddr) -> bool {
+        let gripper = Some(self.gripper.name());
+        self.identity(peer).is_none_or(|identity| identity.may(Right::Stop, gripper))
+    }
+
+    /// Returns a client with its configured name, or else identified by its IP address. A restarted driver is the same
     /// client, although its port differs.
-    pub(super) fn client(peer: SocketAddr) -> Client {
-        Client::new(format!("wsg:{}", peer.ip().to_canonical()), Door::Wsg)
+    pub(super) fn client(&self, peer: SocketAddr) -> Client {
+        let name = self.identity(peer.ip()).and_then(|identity| identity.name);
+        let by_address = || format!("wsg:{}", peer.ip().to_canonical());
+        Client::new(name.map_or_else(by_address, |name| name.to_string()), Door::Wsg)
     }
 }

@@ -32,6 +32,8 @@ pub(super) enum Cause {
          the lease"
     )]
     Acknowledge,
+    #[error("the client's role or grippers do not allow the request")]
+    Forbidden,
 }
 
 impl Cause {
@@ -49,6 +51,7 @@ impl Cause {
             Self::Acknowledge => {
                 "acknowledge the FAST STOP over HTTP or on the dashboard, or set wsg_port_acknowledge = \"any\""
             }
+            Self::Forbidden => "give the client another role or this gripper in its clients table",
         }
     }
 }

@@ -61,7 +61,7 @@ type Connection = Served<tokio::net::tcp::OwnedReadHalf, tokio::net::tcp::OwnedW
 fn admit(port: &Arc<Port>, stream: TcpStream, peer: SocketAddr, admission: &Arc<Admission>) -> Option<Connection> {
     let gripper = port.gripper.name();
     if !port.allows(peer.ip()) {
-        tracing::warn!(%gripper, %peer, "connection refused: address not in wsg_port_allow");
+        tracing::warn!(%gripper, %peer, "connection refused: address neither in wsg_port_allow nor of a known client");
         return None;
     }
     if let Err(error) = prepare(&stream) {
@@ -72,7 +72,7 @@ fn admit(port: &Arc<Port>, stream: TcpStream, peer: SocketAddr, admission: &Arc<
     let permit = Port::admit(admission, peer);
     tracing::info!(%gripper, %peer, "WSG port client connected via TCP");
     let (reader, writer) = stream.into_split();
-    Some(Served::new(port.clone(), Port::client(peer), permit, (reader, writer), None))
+    Some(Served::new(port.clone(), (port.client(peer), peer.ip()), permit, (reader, writer), None))
 }
 
 /// Makes each frame leave at once and on its own, and detects a vanished peer within [`LOST_AFTER`], even while frames

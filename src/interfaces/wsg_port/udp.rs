@@ -122,7 +122,7 @@ pub(super) async fn serve(
         }
         if !port.allows(peer.ip()) {
             if ignored.is_first(peer.ip()) {
-                tracing::warn!(%gripper, %peer, "datagrams ignored: address not in wsg_port_allow");
+                tracing::warn!(%gripper, %peer, "datagrams ignored: address neither in wsg_port_allow nor of a known client");
             }
             continue;
         }
@@ -137,7 +137,8 @@ pub(super) async fn serve(
         let _ = sender.try_send(bytes);
         let writer = Writer { socket: socket.clone(), peer: answered_at, outage: Outage::default() };
         let reader = Reader { datagrams, rest: Vec::new() };
-        let served = Served::new(port.clone(), Port::client(peer), permit, (reader, writer), Some(lost_after));
+        let served =
+            Served::new(port.clone(), (port.client(peer), peer.ip()), permit, (reader, writer), Some(lost_after));
         clients.spawn(served.run(closing.clone()));
         let outage = Outage::default();
         known.insert(answered_at, Known { datagrams: sender, source: peer.port(), heard: now, outage });

@@ -28,8 +28,10 @@ use std::time::Duration;
 use tokio::runtime::Handle;
 use tokio::sync::oneshot;
 use tokio::task::JoinSet;
+use tokio_util::task::AbortOnDropHandle;
 use zenoh::Wait as _;
 use zenoh::liveliness::LivelinessToken;
+use zenoh::query::Queryable;
 
 use self::clients::Clients;
 pub use self::connectivity::Connectivity;
@@ -69,11 +71,12 @@ pub async fn serve(settings: ZenohSettings, context: Context, opened: impl FnMut
         declared = declare(&session, &context, max_hz) => declared,
     };
     match declared {
-        Ok((_alive, _publishers)) => {
+        Ok(mut declared) => {
             tokio::select! {
                 biased;
                 () = context.closing.cancelled() => {}
                 () = connectivity.watch(&session, &context.gateway.peers, opened) => {}
+                () = declared.follow_grippers(&session, &context) => {}
             }
         }
         Err(error) => {
@@ -110,12 +113,55 @@ async fn open(config: zenoh::Config) -> zenoh::Result<zenoh::Session> {
     opened.await?
 }
 
-/// Declares all keys of the gateway. The declarations end when the returned values are dropped.
-async fn declare(
-    session: &zenoh::Session,
-    context: &Context,
+/// The gateway's declarations, which end when this is dropped.
+struct Declarations {
+    keys: ZenohKeys,
+    queries: Arc<Queries>,
+    grippers: Vec<GripperDeclarations>,
     max_hz: u32,
-) -> zenoh::Result<([LivelinessToken; 2], JoinSet<()>)> {
+    alive: Vec<LivelinessToken>,
+    _tasks: JoinSet<()>,
+}
+
+/// The declarations of one gripper.
+struct GripperDeclarations {
+    handle: crate::gripper::Handle,
+    _queryables: [Queryable<()>; 3],
+    _publishing: AbortOnDropHandle<()>,
+}
+
+impl Declarations {
+    /// Follows the grippers that a reload adds and removes. Never returns.
+    async fn follow_grippers(&mut self, session: &zenoh::Session, context: &Context) {
+        let mut changes = context.gateway.grippers.changes();
+        loop {
+            // The grippers can have changed before this subscribed to their changes.
+            if let Err(error) = self.declare_grippers(session, context).await {
+                tracing::error!(%error, "Zenoh declarations failed: some grippers cannot be reached via Zenoh");
+            }
+            changes.wait().await;
+        }
+    }
+
+    async fn declare_grippers(&mut self, session: &zenoh::Session, context: &Context) -> zenoh::Result<()> {
+        let current = context.gateway.grippers.all();
+        self.grippers.retain(|declared| current.iter().any(|handle| handle.is_same(&declared.handle)));
+        for handle in current {
+            if self.grippers.iter().any(|declared| handle.is_same(&declared.handle)) {
+                continue;
+            }
+            let queryables = self.queries.declare_gripper(session, handle.name()).await?;
+            let publications = Publications::declare(session, &self.keys, &handle).await?;
+            let publishing = context.runtimes.observers.spawn(publications.tell(context.clone(), self.max_hz));
+            let publishing = AbortOnDropHandle::new(publishing);
+            self.grippers.push(GripperDeclarations { handle, _queryables: queryables, _publishing: publishing });
+        }
+        Ok(())
+    }
+}
+
+/// Declares all keys of the gateway.
+async fn declare(session: &zenoh::Session, context: &Context, max_hz: u32) -> zenoh::Result<Declarations> {
     let Context { gateway, runtimes, metrics, .. } = context;
     let keys = ZenohKeys::of(&gateway.name);
     // FAST STOP comes first, since fingers can already be moving.
@@ -123,14 +169,15 @@ async fn declare(
     let clients = Arc::new(Clients::new(keys.clone(), Handle::current(), metrics.clone()));
     clients.declare(session).await?;
     let instance = gateway.peers.join(session).await?;
-    let queries = Queries::new(keys.clone(), gateway, clients, metrics.clone());
-    Arc::new(queries).declare(session, &gateway.grippers).await?;
-    let mut publishers = JoinSet::new();
-    publishers.spawn(gateway.peers.watch_twins(session));
-    for handle in gateway.grippers.iter() {
-        let publications = Publications::declare(session, &keys, handle).await?;
-        publishers.spawn_on(publications.tell(context.clone(), max_hz), &runtimes.observers);
-    }
-    publishers.spawn_on(publications::tell_events(session.clone(), keys.clone(), context.clone()), &runtimes.observers);
-    Ok(([instance, session.liveliness().declare_token(keys.own("alive")).await?], publishers))
+    let queries = Arc::new(Queries::new(keys.clone(), gateway, clients, metrics.clone()));
+    queries.declare(session).await?;
+    let mut tasks = JoinSet::new();
+    tasks.spawn(gateway.peers.watch_twins(session));
+    tasks.spawn_on(publications::tell_events(session.clone(), keys.clone(), context.clone()), &runtimes.observers);
+    let mut declared =
+        Declarations { keys, queries, grippers: Vec::new(), max_hz, alive: vec![instance], _tasks: tasks };
+    declared.declare_grippers(session, context).await?;
+    // Others see the gateway only now that it answers.
+    declared.alive.push(session.liveliness().declare_token(declared.keys.own("alive")).await?);
+    Ok(declared)
 }

@@ -4,7 +4,7 @@
 //! Sending a reply can block on a client that reads nothing, so each reply is sent from a thread that nobody waits for.
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use serde::Deserialize;
 use serde_json::value::{RawValue, to_raw_value};
@@ -13,15 +13,14 @@ use tokio::runtime::Handle;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use zenoh::Wait as _;
 use zenoh::bytes::Encoding;
-use zenoh::query::Query;
+use zenoh::query::{Query, Queryable};
 use zenoh::session::ZenohId;
 
 use super::client::client;
 use super::clients::{Bond, Clients, MAX_QUERIES};
-use crate::access::{Credential, Identity, Unauthorized};
+use crate::access::{Credential, Identity, Origin, Right, Unauthorized};
 use crate::fleet::keys::{ZenohKeys, decoded, last_part};
 use crate::fleet::{EVENTS, GRIPS, READINESS, TOKEN};
-use crate::gripper::Grippers;
 use crate::gripper::model::{Client, Door, Name, Text, Urgency};
 use crate::interfaces::metrics::InterfaceMetrics;
 use crate::operations::json::{self, MAX_BODY_BYTES, StrictJson};
@@ -72,7 +71,7 @@ pub struct Queries {
     lease_places: Arc<Semaphore>,
     /// Slots of reads of events, grip records and readiness.
     record_places: Arc<Semaphore>,
-    fast_stop_places: BTreeMap<Name, Arc<Semaphore>>,
+    fast_stop_places: Mutex<BTreeMap<Name, Arc<Semaphore>>>,
 }
 
 #[derive(Debug)]
@@ -96,8 +95,6 @@ impl Queries {
         let runtime = Handle::current();
         let semaphore = |places| Arc::new(Semaphore::new(places));
         let [places, waiting_places, stop_places, lease_places] = [MAX_QUERIES; 4].map(semaphore);
-        let names = gateway.grippers.iter().map(crate::gripper::Handle::name);
-        let fast_stop_places = names.map(|name| (name.clone(), semaphore(MAX_FAST_STOPS))).collect();
         Self {
             keys,
             gateway: gateway.clone(),
@@ -109,24 +106,31 @@ impl Queries {
             stop_places,
             lease_places,
             record_places: semaphore(MAX_RECORD_READS),
-            fast_stop_places,
+            fast_stop_places: Mutex::default(),
         }
     }
 
-    /// Declares the queryables of these grippers and of the fleet.
-    pub async fn declare(self: &Arc<Self>, session: &zenoh::Session, fleet: &Grippers) -> zenoh::Result<()> {
-        for gripper in fleet.iter().map(crate::gripper::Handle::name) {
-            for what in ["state", "info"] {
-                let (queries, key) = (self.clone(), self.keys.gripper(gripper, what));
-                let params = Map::from_iter([(GRIPPER.to_owned(), gripper.as_str().into())]);
-                let answered = key.clone();
-                let answer = move |query: Query| queries.read(query, answered.clone(), what, params.clone());
-                session.declare_queryable(key).callback(answer).background().await?;
-            }
-            let (queries, gripper, key) = (self.clone(), gripper.clone(), self.keys.gripper(gripper, "command/*"));
-            let answer = move |query: Query| queries.command(query, &gripper);
-            session.declare_queryable(key).callback(answer).background().await?;
-        }
+    /// Declares the queryables of a gripper, until they are dropped.
+    pub async fn declare_gripper(
+        self: &Arc<Self>,
+        session: &zenoh::Session,
+        gripper: &Name,
+    ) -> zenoh::Result<[Queryable<()>; 3]> {
+        let read = |what| {
+            let (queries, key) = (self.clone(), self.keys.gripper(gripper, what));
+            let params = Map::from_iter([(GRIPPER.to_owned(), gripper.as_str().into())]);
+            let answered = key.clone();
+            let answer = move |query: Query| queries.read(query, answered.clone(), what, params.clone());
+            session.declare_queryable(key).callback(answer)
+        };
+        let (queries, name, key) = (self.clone(), gripper.clone(), self.keys.gripper(gripper, "command/*"));
+        let answer = move |query: Query| queries.command(query, &name);
+        let commands = session.declare_queryable(key).callback(answer);
+        Ok([read("state").await?, read("info").await?, commands.await?])
+    }
+
+    /// Declares the queryables of the gateway and of the fleet.
+    pub async fn declare(self: &Arc<Self>, session: &zenoh::Session) -> zenoh::Result<()> {
         for what in [EVENTS, GRIPS, READINESS] {
             let queries = self.clone();
             let answer = move |query: Query| queries.of_gateway(query, what);
@@ -169,6 +173,7 @@ impl Queries {
     }
 
     async fn gateway_read(&self, what: &str, payload: &[u8]) -> Result<Box<RawValue>, Problem> {
+        operations::require(&self.gateway.access.of_network(), Right::Read, None)?;
         let list = match what {
             EVENTS => RecordList::Events,
             GRIPS => RecordList::Grips,
@@ -258,8 +263,9 @@ impl Queries {
         let is_command = named(&asked.method).any(|operation| operation.starts_command);
         let (holders, all) = match urgency(&asked.method) {
             Urgency::FastStop => {
-                let name = gripper.parse().ok();
-                (None, name.and_then(|name: Name| self.fast_stop_places.get(&name)).unwrap_or(&self.places))
+                let Ok(name) = gripper.parse() else { return self.places.clone() };
+                let mut places = self.fast_stop_places.lock().unwrap_or_else(PoisonError::into_inner);
+                return places.entry(name).or_insert_with(|| Arc::new(Semaphore::new(MAX_FAST_STOPS))).clone();
             }
             Urgency::Stop => (holders.stops, &self.stop_places),
             Urgency::Lease => (holders.others, &self.lease_places),
@@ -306,7 +312,7 @@ impl Queries {
             // A wrong token must not prevent a FAST STOP that needs none on this network.
             _ if is_fast_stop(&asked.method) => Ok(self.gateway.access.of_network()),
             Credential::None => Ok(self.gateway.access.of_network()),
-            credential => self.gateway.access.identify(credential, None),
+            credential => self.gateway.access.identify(credential, &Origin::default()),
         }
     }
 

@@ -1,8 +1,10 @@
 //! HTTPS, from the first start on a network.
 
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use futures_util::{SinkExt as _, StreamExt as _};
@@ -11,13 +13,15 @@ use http_body_util::{BodyExt as _, Full};
 use hyper::body::Incoming;
 use hyper::client::conn::http1::handshake;
 use hyper_util::rt::TokioIo;
+use rcgen::{BasicConstraints, CertificateParams, DnType, IsCa, Issuer, KeyPair};
 use serde_json::{Value, json};
-use tokio::net::TcpStream;
+use tokio::net::{TcpSocket, TcpStream};
 use tokio_rustls::TlsConnector;
 use tokio_rustls::client::TlsStream;
+use tokio_rustls::rustls::client::Resumption;
 use tokio_rustls::rustls::crypto::ring::default_provider;
 use tokio_rustls::rustls::pki_types::pem::PemObject as _;
-use tokio_rustls::rustls::pki_types::{CertificateDer, ServerName};
+use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer, ServerName};
 use tokio_rustls::rustls::{ClientConfig, RootCertStore};
 use tokio_tungstenite::client_async;
 use tokio_tungstenite::tungstenite::Message;
@@ -25,6 +29,9 @@ use tokio_tungstenite::tungstenite::client::IntoClientRequest as _;
 use tokio_util::task::AbortOnDropHandle;
 
 use crate::harness::{Process, run};
+
+/// A client's certificate and key.
+type ClientCertificate = (CertificateDer<'static>, PrivateKeyDer<'static>);
 
 /// A gateway as `init` configures it.
 struct Initialised {
@@ -41,11 +48,18 @@ impl Drop for Initialised {
 }
 
 async fn initialised() -> Initialised {
+    initialised_with(|_, config| config).await
+}
+
+/// A gateway as `init` configures it, whose configuration and directory are changed before it starts.
+async fn initialised_with(change: impl FnOnce(&Path, String) -> String) -> Initialised {
     let directory = std::env::temp_dir().join(format!("wsg-init-{}", uuid::Uuid::now_v7()));
     let said = run(&["init", "--listen", "127.0.0.1:0", "--host", "localhost", directory.to_str().unwrap()]).await;
     assert!(said.status.success(), "{said:?}");
     let token = said.stdout.lines().last().unwrap().to_owned();
     let config = directory.join("wsg-gateway.toml");
+    let changed = change(&directory, std::fs::read_to_string(&config).unwrap());
+    std::fs::write(&config, changed).unwrap();
     let process = Process::start(&["--config", config.to_str().unwrap(), "--zenoh-listen", "tcp/127.0.0.1:0"]);
     let address = process.word_after(" at https://").await.trim_end_matches('/').parse().unwrap();
     Initialised { directory, address, token, _process: process }
@@ -53,13 +67,29 @@ async fn initialised() -> Initialised {
 
 /// Connects with TLS, trusting the certificate in the gateway's directory.
 async fn secure_stream(gateway: &Initialised) -> std::io::Result<TlsStream<TcpStream>> {
+    secure_stream_of(gateway, [127, 0, 0, 1], None).await
+}
+
+/// Connects from an address, as the holder of a certificate.
+async fn secure_stream_of(
+    gateway: &Initialised,
+    from: [u8; 4],
+    own: Option<&ClientCertificate>,
+) -> std::io::Result<TlsStream<TcpStream>> {
     let pem = std::fs::read(gateway.directory.join("certificate.pem")).unwrap();
     let mut roots = RootCertStore::empty();
     roots.add(CertificateDer::from_pem_slice(&pem).unwrap()).unwrap();
     let config = ClientConfig::builder_with_provider(Arc::new(default_provider()));
     let config = config.with_safe_default_protocol_versions().unwrap();
-    let config = config.with_root_certificates(roots).with_no_client_auth();
-    let stream = TcpStream::connect(gateway.address).await?;
+    let config = config.with_root_certificates(roots);
+    let mut config = match own {
+        Some((certificate, key)) => config.with_client_auth_cert(vec![certificate.clone()], key.clone_key()).unwrap(),
+        None => config.with_no_client_auth(),
+    };
+    config.resumption = Resumption::disabled();
+    let socket = TcpSocket::new_v4()?;
+    socket.bind((from, 0).into())?;
+    let stream = socket.connect(gateway.address).await?;
     TlsConnector::from(Arc::new(config)).connect(ServerName::try_from("localhost").unwrap(), stream).await
 }
 
@@ -71,9 +101,12 @@ struct HttpsClient {
 
 impl HttpsClient {
     async fn connect(gateway: &Initialised) -> Result<Self, std::io::Error> {
-        let stream = secure_stream(gateway).await?;
+        Ok(Self::over(secure_stream(gateway).await?).await)
+    }
+
+    async fn over(stream: TlsStream<TcpStream>) -> Self {
         let (http, connection) = handshake(TokioIo::new(stream)).await.unwrap();
-        Ok(Self { http, _connection: AbortOnDropHandle::new(tokio::spawn(connection)) })
+        Self { http, _connection: AbortOnDropHandle::new(tokio::spawn(connection)) }
     }
 
     async fn send(&mut self, method: &str, path: &str, token: Option<&str>, body: &Value) -> Response<Incoming> {
@@ -158,4 +191,95 @@ async fn replaced_certificate_serves_new_connections() {
     assert_eq!(old.status("GET", "/healthz", None).await, 200, "the open connection continues");
     let mut new = HttpsClient::connect(&gateway).await.unwrap();
     assert_eq!(new.status("GET", "/healthz", None).await, 200);
+}
+
+/// An authority that signs certificates of clients.
+fn authority(name: &str) -> (Issuer<'static, KeyPair>, String) {
+    let mut params = CertificateParams::new([]).unwrap();
+    params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
+    params.distinguished_name.push(DnType::CommonName, name);
+    let key = KeyPair::generate().unwrap();
+    let pem = params.self_signed(&key).unwrap().pem();
+    (Issuer::new(params, key), pem)
+}
+
+fn certificate_of(name: &str, authority: &Issuer<'static, KeyPair>) -> ClientCertificate {
+    let mut params = CertificateParams::new([]).unwrap();
+    params.distinguished_name.push(DnType::CommonName, name);
+    let key = KeyPair::generate().unwrap();
+    let certificate = params.signed_by(&key, authority).unwrap();
+    (certificate.der().clone(), PrivateKeyDer::try_from(key.serialize_der()).unwrap())
+}
+
+#[tokio::test]
+async fn client_is_known_by_its_certificate() {
+    let (plant, ca) = authority("plant");
+    let gateway = initialised_with(|directory, config| {
+        std::fs::write(directory.join("clients.pem"), ca).unwrap();
+        let config = config.replace("key = \"key.pem\"", "key = \"key.pem\"\nclient_ca = \"clients.pem\"");
+        format!("{config}\n[[clients]]\nname = \"mes\"\ncertificate = \"mes.example\"\nrole = \"observer\"\n")
+    })
+    .await;
+    let ask = async |own: &ClientCertificate| -> std::io::Result<(u16, Value)> {
+        let mut client = HttpsClient::over(secure_stream_of(&gateway, [127, 0, 0, 1], Some(own)).await?).await;
+        let answer = client.http.ready().await;
+        answer.map_err(std::io::Error::other)?;
+        let answer = client.send("GET", "/api/v1/me", None, &Value::Null).await;
+        let status = answer.status().as_u16();
+        Ok((status, serde_json::from_slice(&answer.into_body().collect().await.unwrap().to_bytes()).unwrap()))
+    };
+    let (status, me) = ask(&certificate_of("mes.example", &plant)).await.unwrap();
+    assert_eq!((status, &me["name"], &me["proof"]), (200, &"mes".into(), &"certificate".into()), "{me}");
+    let (status, _) = ask(&certificate_of("other.example", &plant)).await.unwrap();
+    assert_eq!(status, 401);
+    // A certificate of another authority ends the connection. With TLS 1.3, the client notices after its handshake.
+    let foreign = certificate_of("mes.example", &authority("elsewhere").0);
+    let mut refused = secure_stream_of(&gateway, [127, 0, 0, 1], Some(&foreign)).await.unwrap();
+    let read = tokio::io::AsyncReadExt::read(&mut refused, &mut [0; 8]).await;
+    assert!(read.is_err(), "{read:?}");
+    let mut nobody = HttpsClient::connect(&gateway).await.unwrap();
+    assert_eq!(nobody.status("GET", "/api/v1/me", None).await, 401);
+    assert_eq!(nobody.status("GET", "/api/v1/me", Some(&gateway.token)).await, 200);
+}
+
+/// Time that a FAST STOP may take during a flood, on a machine that also runs the flood and other tests.
+const STOPPED_WITHIN: Duration = Duration::from_secs(1);
+
+#[tokio::test(flavor = "multi_thread")]
+async fn flood_of_handshakes_delays_no_fast_stop() {
+    let gateway = Arc::new(initialised().await);
+    let handshakes = Arc::new(AtomicU32::new(0));
+    let flood = |_| {
+        let (gateway, handshakes) = (gateway.clone(), handshakes.clone());
+        AbortOnDropHandle::new(tokio::spawn(async move {
+            loop {
+                if secure_stream_of(&gateway, [127, 0, 0, 2], None).await.is_ok() {
+                    handshakes.fetch_add(1, Ordering::Relaxed);
+                }
+            }
+        }))
+    };
+    let flooding: Vec<_> = (0..64).map(flood).collect();
+    let start = Instant::now();
+    let (mut fresh, mut open) = (Vec::new(), Vec::new());
+    let mut client = HttpsClient::connect(&gateway).await.unwrap();
+    for _ in 0..40 {
+        let begun = Instant::now();
+        let mut new = HttpsClient::connect(&gateway).await.unwrap();
+        assert_eq!(new.status("POST", "/api/v1/fast-stop", Some(&gateway.token)).await, 200);
+        fresh.push(begun.elapsed());
+        let begun = Instant::now();
+        assert_eq!(client.status("POST", "/api/v1/fast-stop", Some(&gateway.token)).await, 200);
+        open.push(begun.elapsed());
+    }
+    let rate = f64::from(handshakes.load(Ordering::Relaxed)) / start.elapsed().as_secs_f64();
+    drop(flooding);
+    fresh.sort();
+    open.sort();
+    println!(
+        "{rate:.0} handshakes/s; FAST STOP with a new connection: p50 {:?}, p90 {:?}, max {:?}; on an open one: p50 {:?}, \
+         p90 {:?}, max {:?}",
+        fresh[20], fresh[36], fresh[39], open[20], open[36], open[39]
+    );
+    assert!(fresh[36] < STOPPED_WITHIN && open[36] < STOPPED_WITHIN, "{fresh:?} {open:?}");
 }

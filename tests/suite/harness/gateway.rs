@@ -272,6 +272,11 @@ impl Gateway {
         self.process.signal("CONT");
     }
 
+    /// Sends SIGHUP, which makes the gateway read its configuration again.
+    pub fn hang_up(&self) {
+        self.process.signal("HUP");
+    }
+
     /// Sends SIGTERM, and waits for the exit.
     pub async fn terminate(mut self) -> Ended {
         self.process.terminate();

@@ -15,6 +15,7 @@ use crate::wsg::{Status, SystemState, frame};
 mod fast_stop;
 mod link;
 mod motion;
+mod reconfiguration;
 
 pub(in crate::gripper) const TCP: LinkProperties = LinkProperties {
     name: "tcp",

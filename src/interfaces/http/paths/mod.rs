@@ -15,6 +15,7 @@ pub mod me;
 pub mod motion;
 mod parameters;
 pub mod raw;
+pub mod reload;
 pub mod responses;
 pub mod settings;
 pub mod webhooks;

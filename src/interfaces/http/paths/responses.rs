@@ -23,8 +23,8 @@ const PROBLEMS: &[(&str, &str, &str)] = &[
         "409",
         "Conflict",
         "`fast_stop`, `not_referenced`, `already_running`, `release_first`, `lease_held`, `stale_lease`, `stale_fast_stop`, \
-         `fast_stop_unconfirmed`, `request_id_reused`, `name_taken`: not possible in the current state; the problem's \
-         members name the cause",
+         `fast_stop_unconfirmed`, `request_id_reused`, `name_taken`, `invalid_configuration`: not possible in the current \
+         state; the problem's members name the cause",
     ),
     ("413", "TooLarge", "`too_large`: the body is larger than `max` bytes"),
     (
@@ -83,6 +83,8 @@ sets! {
     LeaseProblem ["400" "401" "403" "404" "408" "409" "413" "422" "429" "500" "503"];
     /// Problems of testing a webhook.
     WebhookProblem ["400" "401" "403" "404" "408" "413" "422" "429" "500"];
+    /// Problems of reading the configuration again.
+    ReloadProblem ["400" "401" "403" "408" "409" "413" "429" "500"];
     /// Problems of signing in and out.
     SessionProblem ["400" "401" "403" "404" "408" "413" "422" "500"];
     /// Problems of opening a WebSocket.

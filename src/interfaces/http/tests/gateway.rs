@@ -15,7 +15,7 @@ async fn readiness_names_its_causes() {
         answer.body,
         json!({
             "gateway": "wsg", "version": env!("CARGO_PKG_VERSION"), "ready": false, "journal_cause": null, "journal_damage": null, "zenoh_cause": null,
-            "not_ready": ["left: connecting: not reached yet"]
+            "not_ready": ["left: connecting: not reached yet"], "warnings": []
         })
     );
 

@@ -115,6 +115,10 @@ export const de = {
   'signin.hint': 'Ein Token erhalten Sie vom Betreiber dieses Gateways: „wsg-gateway token create“ erzeugt eines.',
   'signin.as': 'Angemeldet als {name} ({role})',
   'signin.out': 'Abmelden',
+  'pin.enter': 'PIN eingeben',
+  'pin.label': 'PIN',
+  'pin.do': 'Entsperren',
+  'pin.forget': 'Sperren',
   'role.stop': 'nur Halt',
   'role.observer': 'Beobachter',
   'role.operator': 'Bediener',
@@ -150,6 +154,7 @@ export const de = {
   'problem.gateway_gone': 'Dieses Gateway ist offline.',
   'problem.gateway_timeout': 'Dieses Gateway hat nicht rechtzeitig geantwortet.',
   'problem.unauthorized': 'Das Gateway akzeptiert das nicht: Melden Sie sich mit einem gültigen Token an.',
+  'problem.invalid_configuration': 'Die neue Konfiguration ist nicht verwendbar.',
   'problem.forbidden': 'Ihre Rolle erlaubt das nicht.',
   'problem.not_found': 'Nicht gefunden.',
 };

@@ -115,6 +115,10 @@ export const en = {
   'signin.hint': 'Ask whoever runs this gateway for a token: “wsg-gateway token create” makes one.',
   'signin.as': 'Signed in as {name} ({role})',
   'signin.out': 'Sign out',
+  'pin.enter': 'Enter PIN',
+  'pin.label': 'PIN',
+  'pin.do': 'Unlock',
+  'pin.forget': 'Lock',
   'role.stop': 'stop only',
   'role.observer': 'observer',
   'role.operator': 'operator',
@@ -150,6 +154,7 @@ export const en = {
   'problem.gateway_gone': 'That gateway is offline.',
   'problem.gateway_timeout': 'That gateway did not answer in time.',
   'problem.unauthorized': 'The gateway does not accept this: sign in with a valid token.',
+  'problem.invalid_configuration': 'The new configuration cannot be used.',
   'problem.forbidden': 'Your role does not allow this.',
   'problem.not_found': 'Not found.',
 };

@@ -3,6 +3,8 @@
 import { signal } from '../lib.js';
 import { get, remove, send } from '../net/rest.js';
 
+const ASKED_EVERY_MS = 5000;
+
 /** The identity and rights; null until the gateway says them. */
 export const me = signal(null);
 
@@ -37,6 +39,22 @@ export async function signOut() {
   await remove('session');
   location.reload();
 }
+
+/** Adds a person's rights to this panel's session. */
+export async function enterPin(pin) {
+  await send('session/pin', { pin });
+  await recognize();
+}
+
+export async function forgetPin() {
+  await remove('session/pin');
+  await recognize();
+}
+
+// The rights of a PIN end by themselves, so the page asks whether they have.
+setInterval(() => {
+  if (me.value?.proof === 'pin') recognize();
+}, ASKED_EVERY_MS);
 
 /** Whether this person may move a gripper and change its settings. The gateway itself decides. */
 export function mayOperate(name) {

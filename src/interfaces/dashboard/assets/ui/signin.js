@@ -2,7 +2,7 @@
 
 import { html, signal } from '../lib.js';
 import { ofProblem, t } from '../model/i18n.js';
-import { me, signIn, signOut } from '../model/me.js';
+import { enterPin, forgetPin, me, signIn, signOut } from '../model/me.js';
 import { noConnection } from '../net/rpc.js';
 
 /** Problem of the last attempt. */
@@ -29,10 +29,45 @@ export function SignIn() {
   </form></main>`;
 }
 
-/** The name of the person, with a button to sign out. */
+/** Whether the field for a PIN is open, and the problem of the last PIN. */
+const isEntering = signal(false);
+const refusedPin = signal(null);
+
+/** A field for the PIN of a person at a shared panel. */
+function PinField() {
+  const submit = async (event) => {
+    event.preventDefault();
+    const field = event.currentTarget.elements.namedItem('pin');
+    try {
+      await enterPin(field.value);
+      isEntering.value = false;
+      refusedPin.value = null;
+    } catch (problem) {
+      refusedPin.value = problem ?? noConnection();
+      field.select();
+    }
+  };
+  return html`<form class="pin" onSubmit=${submit}>
+    <label for="pin">${t('pin.label')}</label>
+    <input id="pin" name="pin" type="password" inputmode="numeric" pattern="[0-9]{6}" maxlength="6" size="6"
+      autocomplete="off" required autofocus />
+    <button type="submit" class="primary">${t('pin.do')}</button>
+    ${refusedPin.value && html`<span role="alert">${refusedPin.value.detail ?? ofProblem(refusedPin.value)}</span>`}
+  </form>`;
+}
+
+/** The name of the person, with buttons to sign out, to enter a PIN, and to forget it. */
 export function SignedIn() {
-  if (me.value?.proof !== 'session') return null;
-  const { name, role } = me.value;
-  return html`<span class="signed-in">${t('signin.as', { name, role: t(`role.${role}`) })}</span>
+  const { proof, name, role } = me.value ?? {};
+  if (proof !== 'session' && proof !== 'pin') return null;
+  const who = html`<span class="signed-in">${t('signin.as', { name, role: t(`role.${role}`) })}</span>`;
+  if (proof === 'pin') return html`${who}<button type="button" id="lock" onClick=${forgetPin}>${t('pin.forget')}</button>`;
+  const open = () => {
+    isEntering.value = !isEntering.value;
+  };
+  const canDoMore = role === 'observer' || role === 'stop';
+  return html`${who}
+    ${canDoMore && html`<button type="button" id="enter-pin" aria-expanded=${isEntering.value} onClick=${open}>${t('pin.enter')}</button>`}
+    ${canDoMore && isEntering.value && html`<${PinField} />`}
     <button type="button" onClick=${signOut}>${t('signin.out')}</button>`;
 }

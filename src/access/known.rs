@@ -1,0 +1,68 @@
+//! Clients that send no credential: known by their certificate or their address.
+
+use std::net::IpAddr;
+use std::sync::Arc;
+
+use ipnet::IpNet;
+
+use super::identity::{Identity, Proof, Scope};
+use super::role::Role;
+use crate::gripper::model::Name;
+
+/// A client that the configuration names.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct KnownClient {
+    pub name: Name,
+    pub sign: ClientSign,
+    pub role: Role,
+    pub scope: Scope,
+}
+
+/// The sign by which a client is known.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum ClientSign {
+    /// Its address is in this network.
+    Address(IpNet),
+    /// Its certificate, which `client_ca` has signed, is for this common name (RFC 5280, 4.1.2.6).
+    Certificate(String),
+}
+
+/// The origin of a connection.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Origin {
+    /// Address of the client; `None` on an interface without addresses.
+    pub address: Option<IpAddr>,
+    /// Common name of the client's certificate, which was verified.
+    pub certificate: Option<Arc<str>>,
+}
+
+impl From<IpAddr> for Origin {
+    fn from(address: IpAddr) -> Self {
+        Self { address: Some(address.to_canonical()), certificate: None }
+    }
+}
+
+impl KnownClient {
+    /// Returns the identity of the client with this origin, if one of these clients has it. A certificate proves more
+    /// than an address, so it decides first.
+    pub(super) fn find(clients: &[Self], origin: &Origin) -> Option<Identity> {
+        let certificate = origin.certificate.as_deref();
+        let by_certificate = clients
+            .iter()
+            .find(|client| matches!(&client.sign, ClientSign::Certificate(name) if certificate == Some(name.as_str())));
+        let by_address = || {
+            let address = origin.address?;
+            clients.iter().find(|client| matches!(&client.sign, ClientSign::Address(net) if net.contains(&address)))
+        };
+        by_certificate.or_else(by_address).map(Self::identity)
+    }
+
+    fn identity(&self) -> Identity {
+        let proof = match self.sign {
+            ClientSign::Address(_) => Proof::Address,
+            ClientSign::Certificate(_) => Proof::Certificate,
+        };
+        let (name, scope) = (Some(self.name.clone()), self.scope.clone());
+        Identity { name, role: self.role, scope, expires_at: None, proof, session: None }
+    }
+}

@@ -1,0 +1,132 @@
+//! `wsg-gateway reload`: makes a running gateway read its configuration again, and prints the changes.
+
+use std::fs;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use anyhow::{Context as _, bail};
+use bytes::Bytes;
+use clap::Args;
+use http::Request;
+use http::header::{AUTHORIZATION, CONTENT_TYPE, HOST};
+use http_body_util::{BodyExt as _, Full};
+use hyper::client::conn::http1;
+use hyper_util::rt::TokioIo;
+use serde::Deserialize;
+use tokio::io::{AsyncRead, AsyncWrite};
+use tokio::net::TcpStream;
+use tokio_rustls::TlsConnector;
+use tokio_rustls::rustls::crypto::ring::default_provider;
+use tokio_rustls::rustls::pki_types::pem::PemObject as _;
+use tokio_rustls::rustls::pki_types::{CertificateDer, ServerName};
+use tokio_rustls::rustls::{ClientConfig, RootCertStore};
+use url::Url;
+
+use crate::config::{Config, Flags};
+use crate::interfaces::tls::server_name;
+
+#[derive(Debug, Args)]
+pub(super) struct ReloadArgs {
+    /// Address of the gateway [default: the one in the configuration file, or http://127.0.0.1:8080/]
+    #[arg(long, value_name = "URL")]
+    url: Option<Url>,
+    /// Configuration file of the gateway: tells where it listens, and which certificate to trust
+    #[arg(long, value_name = "FILE", env = "WSG_GATEWAY_CONFIG")]
+    config: Option<PathBuf>,
+    /// Certificate to trust instead, in PEM
+    #[arg(long, value_name = "FILE")]
+    ca: Option<PathBuf>,
+    /// File with a supervisor's token [default: the environment variable WSG_GATEWAY_TOKEN]
+    #[arg(long, value_name = "FILE")]
+    token_file: Option<PathBuf>,
+}
+
+/// The answer to a reload: the changes, or a problem.
+#[derive(Deserialize)]
+struct Answer {
+    changes: Option<Vec<String>>,
+    detail: Option<String>,
+}
+
+/// Reloads, and returns the changes.
+///
+/// # Errors
+/// The reason why nothing has changed, and the remedy.
+pub(super) async fn reload(args: &ReloadArgs) -> anyhow::Result<Vec<String>> {
+    let config =
+        args.config.as_ref().map(|path| Config::load(&Flags { config: Some(path.clone()), ..Flags::default() }));
+    let config = config.transpose()?;
+    let url = args.url.clone().map_or_else(|| url_of(config.as_ref()), Ok)?;
+    let token = match &args.token_file {
+        Some(path) => Some(fs::read_to_string(path).with_context(|| path.display().to_string())?),
+        None => std::env::var("WSG_GATEWAY_TOKEN").ok(),
+    };
+    let host = url.host_str().context("the URL has no host: write http://127.0.0.1:8080/")?;
+    let port = url.port_or_known_default().unwrap_or(80);
+    let unreachable = || format!("cannot connect to {url}: check that the gateway runs there");
+    let address = host.trim_start_matches('[').trim_end_matches(']');
+    let stream = TcpStream::connect((address, port)).await.with_context(unreachable)?;
+    let mut request = Request::post("/api/v1/reload").header(HOST, format!("{host}:{port}"));
+    request = request.header(CONTENT_TYPE, "application/json");
+    if let Some(token) = token {
+        request = request.header(AUTHORIZATION, format!("Bearer {}", token.trim()));
+    }
+    let request = request.body(Full::new(Bytes::from_static(b"{}")))?;
+    let body = if url.scheme() == "https" {
+        let own = config.and_then(|config| config.tls).map(|tls| tls.certificate);
+        let trusted =
+            args.ca.clone().or(own).context("name the certificate to trust with --ca, or the --config file")?;
+        let (config, name) = trusting(&trusted, address)?;
+        let stream = TlsConnector::from(Arc::new(config)).connect(name, stream).await;
+        exchange(stream.with_context(|| format!("no TLS connection to {url}"))?, request).await?
+    } else {
+        exchange(stream, request).await?
+    };
+    let answer: Answer = serde_json::from_slice(&body).with_context(|| format!("{url} is not a gateway"))?;
+    match answer {
+        Answer { changes: Some(changes), .. } => Ok(changes),
+        Answer { detail, .. } => bail!(detail.unwrap_or_else(|| format!("{url} is not a gateway"))),
+    }
+}
+
+/// Returns where a gateway with this configuration listens, as seen from its own host.
+fn url_of(config: Option<&Config>) -> anyhow::Result<Url> {
+    let Some(Config { listen, tls, .. }) = config else { return Ok("http://127.0.0.1:8080/".parse()?) };
+    let mut listen = *listen;
+    if listen.ip().is_unspecified() {
+        let loopback: IpAddr = if listen.is_ipv4() { Ipv4Addr::LOCALHOST.into() } else { Ipv6Addr::LOCALHOST.into() };
+        listen.set_ip(loopback);
+    }
+    let scheme = if tls.is_some() { "https" } else { "http" };
+    Ok(format!("{scheme}://{listen}/").parse()?)
+}
+
+/// Trusts the certificates in a file, for the name in the first of them that is the host's, or else for the host.
+fn trusting(path: &Path, host: &str) -> anyhow::Result<(ClientConfig, ServerName<'static>)> {
+    let wrong = || format!("{} has no certificate in PEM", path.display());
+    let pem = fs::read(path).with_context(|| path.display().to_string())?;
+    let certificates = CertificateDer::pem_slice_iter(&pem).collect::<Result<Vec<_>, _>>().with_context(wrong)?;
+    let mut roots = RootCertStore::empty();
+    for certificate in &certificates {
+        roots.add(certificate.clone()).with_context(wrong)?;
+    }
+    let name = certificates.first().and_then(server_name).unwrap_or_else(|| host.to_owned());
+    let config = ClientConfig::builder_with_provider(Arc::new(default_provider()))
+        .with_safe_default_protocol_versions()?
+        .with_root_certificates(roots)
+        .with_no_client_auth();
+    Ok((config, ServerName::try_from(name)?))
+}
+
+async fn exchange<T: AsyncRead + AsyncWrite + Send + Unpin + 'static>(
+    stream: T,
+    request: Request<Full<Bytes>>,
+) -> anyhow::Result<Bytes> {
+    let (mut sender, connection) = http1::handshake(TokioIo::new(stream)).await?;
+    let connection = tokio::spawn(connection);
+    let response = sender.send_request(request).await?;
+    let body = response.into_body().collect().await?.to_bytes();
+    connection.abort();
+    Ok(body)
+}

@@ -1,0 +1,198 @@
+//! The grippers of a configuration: started, changed and removed.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use prometheus::Registry;
+use rand::RngExt as _;
+use tokio::runtime::Handle as RuntimeHandle;
+
+use super::simulation::SimulatedDevice;
+use crate::config::{Config, ConfigError, DeviceSource, GripperConfig};
+use crate::gripper::actor::ActorConfig;
+use crate::gripper::metrics::{Newest, Registration};
+use crate::gripper::model::{Name, PersistedKey};
+use crate::gripper::recorder::RestoredState;
+use crate::gripper::{self, Connector, GripperMetrics, Grippers, Handle, Reconfiguration};
+use crate::journal::{Journal, Recovered};
+
+/// The running grippers.
+pub(super) struct RunningGrippers {
+    pub(super) grippers: Grippers,
+    devices: RuntimeHandle,
+    journal: Journal,
+    registry: Registry,
+    running: BTreeMap<Name, RunningGripper>,
+}
+
+/// A running gripper, with what a new configuration of it needs.
+struct RunningGripper {
+    connector: Arc<dyn Connector>,
+    metrics: GripperMetrics,
+    _newest: Registration,
+}
+
+/// The difference between two configurations of grippers.
+pub(super) struct GripperChanges {
+    pub(super) added: Vec<Name>,
+    pub(super) removed: Vec<Name>,
+    /// Grippers with another configuration, or with other settings of all grippers.
+    pub(super) changed: Vec<Name>,
+    /// New devices of added and changed grippers.
+    connectors: BTreeMap<Name, Arc<dyn Connector>>,
+}
+
+impl RunningGrippers {
+    /// Starts the grippers of a configuration.
+    pub(super) fn start(
+        config: &Config,
+        devices: &RuntimeHandle,
+        journal: &Journal,
+        recovered: &Recovered,
+        registry: &Registry,
+    ) -> anyhow::Result<Self> {
+        let grippers = Grippers::new([]);
+        let (devices, journal, registry) = (devices.clone(), journal.clone(), registry.clone());
+        let mut this = Self { grippers, devices, journal, registry, running: BTreeMap::new() };
+        let handles: anyhow::Result<Vec<_>> =
+            config.grippers.iter().map(|gripper| this.spawn(config, gripper, connector(gripper)?, recovered)).collect();
+        this.grippers.change(handles?, &[]);
+        Ok(this)
+    }
+
+    /// Compares two configurations, and prepares the devices of the new one.
+    pub(super) fn compare(before: &Config, after: &Config) -> Result<GripperChanges, ConfigError> {
+        let find = |config: &Config, name: &Name| config.grippers.iter().find(|gripper| gripper.name == *name).cloned();
+        let mut changes =
+            GripperChanges { added: vec![], removed: vec![], changed: vec![], connectors: BTreeMap::new() };
+        let is_gone = |gripper: &&GripperConfig| find(after, &gripper.name).is_none();
+        changes.removed = before.grippers.iter().filter(is_gone).map(|gripper| gripper.name.clone()).collect();
+        let of_all = |config: &Config| (config.drain, config.journal.on_failure);
+        for gripper in &after.grippers {
+            let name = gripper.name.clone();
+            let old = find(before, &name);
+            if old.as_ref().is_none_or(|old| old.device != gripper.device) {
+                changes.connectors.insert(name.clone(), connector(gripper)?);
+            }
+            match old {
+                None => changes.added.push(name),
+                Some(old) if !is_same(&old, gripper) || of_all(before) != of_all(after) => changes.changed.push(name),
+                Some(_) => {}
+            }
+        }
+        Ok(changes)
+    }
+
+    /// Applies the changes. Removed grippers are drained first, since an added one can have the same device. Until then
+    /// they take FAST STOPs.
+    pub(super) async fn apply(
+        &mut self,
+        config: &Config,
+        mut changes: GripperChanges,
+        recovered: &Recovered,
+    ) -> anyhow::Result<()> {
+        let leaving: Vec<_> = changes.removed.iter().filter_map(|name| self.grippers.get(name)).collect();
+        futures_util::future::join_all(leaving.iter().map(Handle::drain)).await;
+        self.grippers.change([], &changes.removed);
+        for name in &changes.removed {
+            self.running.remove(name);
+        }
+        let mut changing = Vec::new();
+        for gripper in config.grippers.iter().filter(|gripper| changes.changed.contains(&gripper.name)) {
+            let (Some(handle), Some(running)) = (self.grippers.get(&gripper.name), self.running.get_mut(&gripper.name))
+            else {
+                continue;
+            };
+            let connector = changes.connectors.remove(&gripper.name);
+            if let Some(connector) = &connector {
+                running.connector = connector.clone();
+            }
+            let config = actor_config(config, gripper, &*running.connector, running.metrics.clone());
+            changing.push(async move { handle.reconfigure(Reconfiguration { config, connector }).await });
+        }
+        futures_util::future::join_all(changing).await;
+        for gripper in config.grippers.iter().filter(|gripper| changes.added.contains(&gripper.name)) {
+            let connector = match changes.connectors.remove(&gripper.name) {
+                Some(connector) => connector,
+                None => connector(gripper)?,
+            };
+            let handle = self.spawn(config, gripper, connector, recovered)?;
+            self.grippers.change([handle], &[]);
+        }
+        Ok(())
+    }
+
+    fn spawn(
+        &mut self,
+        config: &Config,
+        gripper: &GripperConfig,
+        connector: Arc<dyn Connector>,
+        recovered: &Recovered,
+    ) -> anyhow::Result<Handle> {
+        let _inside = self.devices.enter();
+        let metrics = GripperMetrics::register(&self.registry, &gripper.name)?;
+        let actor = actor_config(config, gripper, &*connector, metrics.clone());
+        let recorder = Arc::new(self.journal.clone());
+        let handle = gripper::spawn(actor, connector.clone(), recorder, restored(recovered, gripper));
+        let newest = Newest::register(&self.registry, &handle)?;
+        self.running.insert(gripper.name.clone(), RunningGripper { connector, metrics, _newest: newest });
+        Ok(handle)
+    }
+}
+
+/// Whether a gripper keeps its configuration, wherever that stands in the file. WSG ports are compared separately.
+fn is_same(before: &GripperConfig, after: &GripperConfig) -> bool {
+    let (wsg_port, place) = (after.wsg_port.clone(), after.place.clone());
+    GripperConfig { wsg_port, place, ..before.clone() } == *after
+}
+
+fn connector(gripper: &GripperConfig) -> Result<Arc<dyn Connector>, ConfigError> {
+    Ok(match &gripper.device {
+        DeviceSource::At(address) => Arc::new(address.clone()),
+        DeviceSource::Simulated(url) => {
+            let device = SimulatedDevice::from_url(url).map_err(|detail| ConfigError::at(&gripper.place, detail))?;
+            Arc::new(device.start(url.as_str()))
+        }
+    })
+}
+
+fn actor_config(
+    config: &Config,
+    gripper: &GripperConfig,
+    connector: &dyn Connector,
+    metrics: GripperMetrics,
+) -> ActorConfig {
+    ActorConfig {
+        gateway: config.name.clone(),
+        name: gripper.name.clone(),
+        url: connector.url(),
+        properties: connector.properties(),
+        fast_stop_on_disconnect: gripper.fast_stop_on_disconnect,
+        custom_ids: gripper.custom_ids.clone(),
+        updates: gripper.updates,
+        motion_pause: gripper.motion_pause,
+        drain: config.drain,
+        on_journal_failure: config.journal.on_failure,
+        lease: gripper.lease.clone(),
+        seed: rand::rng().random(),
+        metrics,
+    }
+}
+
+/// Returns the journal's knowledge of a gripper from earlier runs.
+fn restored(recovered: &Recovered, gripper: &GripperConfig) -> RestoredState {
+    let persisted = |key| {
+        let memory = recovered.memory.iter().find(|memory| memory.gripper == gripper.name && memory.key == key);
+        memory.and_then(|memory| memory.value.clone())
+    };
+    let requests = recovered.requests.iter().filter(|request| request.command.gripper == gripper.name);
+    RestoredState {
+        settings: persisted(PersistedKey::Settings),
+        latch: persisted(PersistedKey::Latch),
+        lease: persisted(PersistedKey::Lease),
+        holding: persisted(PersistedKey::Holding),
+        last_command: persisted(PersistedKey::LastCommand),
+        requests: requests.cloned().collect(),
+        unclean: recovered.unclean,
+    }
+}

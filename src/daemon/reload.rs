@@ -1,0 +1,194 @@
+//! Reading the configuration again while the gateway runs: all of it is prepared before any of it is applied.
+
+use std::sync::Arc;
+
+use tokio::net::TcpListener;
+use tokio::runtime::Handle as RuntimeHandle;
+use tokio::signal::unix::Signal;
+use tokio::sync::{mpsc, watch};
+use tokio_util::sync::CancellationToken;
+
+use super::descriptors::Shares;
+use super::grippers::{GripperChanges, RunningGrippers};
+use super::ports::{PortChanges, Ports};
+use super::{listen, settings, systemd};
+use crate::access::{Access, AccessRules};
+use crate::config::{Config, ConfigError, Flags, GripperConfig};
+use crate::gripper::Now;
+use crate::gripper::model::{Client, Detail, Event, GatewayEvent, Name};
+use crate::gripper::recorder::{Record, Recorder as _};
+use crate::interfaces::http::{self, HttpSettings, SharedSettings};
+use crate::journal::Journal;
+use crate::operations::reload::ReloadRequest;
+
+/// The parts of the gateway that a reload changes.
+pub(super) struct Reloader {
+    pub(super) flags: Flags,
+    pub(super) config: Config,
+    pub(super) shares: Shares,
+    pub(super) journal: Journal,
+    pub(super) access: Arc<Access>,
+    pub(super) settings: SharedSettings,
+    pub(super) listener: watch::Sender<Arc<TcpListener>>,
+    /// The runtime that accepts connections.
+    pub(super) accept: RuntimeHandle,
+    pub(super) grippers: RunningGrippers,
+    pub(super) ports: Ports,
+}
+
+/// Everything that a new configuration needs. Applying it cannot fail.
+struct Prepared {
+    config: Config,
+    access: AccessRules,
+    settings: HttpSettings,
+    /// `None` if the address stays.
+    listener: Option<TcpListener>,
+    grippers: GripperChanges,
+    ports: PortChanges,
+    /// Descriptors for the clients of each new WSG port.
+    of_a_port: usize,
+    changes: Vec<String>,
+}
+
+/// Reason why a reload changes nothing, with the remedy.
+#[derive(Debug, thiserror::Error)]
+enum ReloadError {
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    #[error("{} cannot change while the gateway runs: restart it", .0.join(", "))]
+    NeedsRestart(Vec<&'static str>),
+    #[error("{0:#}")]
+    Unusable(anyhow::Error),
+}
+
+impl Reloader {
+    /// Reloads on request and on SIGHUP, until the gateway stops.
+    pub(super) async fn run(
+        mut self,
+        mut requests: mpsc::Receiver<ReloadRequest>,
+        mut hang_up: Signal,
+        stopping: CancellationToken,
+    ) -> Self {
+        loop {
+            let request = tokio::select! {
+                biased;
+                () = stopping.cancelled() => return self,
+                Some(request) = requests.recv() => Some(request),
+                Some(()) = hang_up.recv() => None,
+                else => return self,
+            };
+            systemd::reloading();
+            let (client, answer) = request.map(|request| (request.client, request.answer)).unzip();
+            let result = self.reload(client.as_ref()).await.map_err(|error| error.to_string());
+            match &result {
+                Ok(changes) => tracing::info!(changes = changes.join("; "), "configuration reloaded"),
+                Err(error) => tracing::error!(error, "configuration not reloaded: nothing has changed"),
+            }
+            systemd::ready();
+            if let Some(answer) = answer {
+                // The client may be gone.
+                let _ = answer.send(result);
+            }
+        }
+    }
+
+    async fn reload(&mut self, client: Option<&Client>) -> Result<Vec<String>, ReloadError> {
+        let prepared = self.prepare().await?;
+        let changes = prepared.changes.clone();
+        // With the same configuration, the files that it names can still be new.
+        self.apply(prepared).await.map_err(ReloadError::Unusable)?;
+        if !changes.is_empty() {
+            let detail = Detail::Gateway(GatewayEvent::Reloaded { changes: changes.clone() });
+            let event = Event::new(Now::read().wall, None, detail);
+            let event = client.map_or_else(|| event.clone(), |client| event.clone().by(client));
+            self.journal.record(Record::Event(event, None));
+        }
+        Ok(changes)
+    }
+
+    async fn prepare(&self) -> Result<Prepared, ReloadError> {
+        let flags = self.flags.clone();
+        // Reading files can block.
+        let loaded = tokio::task::spawn_blocking(move || {
+            Config::load(&flags).and_then(|config| super::check(&config).map(|()| config))
+        });
+        let config = loaded.await.map_err(|error| ReloadError::Unusable(error.into()))??;
+        let fixed = fixed(&self.config, &config);
+        if !fixed.is_empty() {
+            return Err(ReloadError::NeedsRestart(fixed));
+        }
+        let unusable = ReloadError::Unusable;
+        let of_a_port = self.shares.of_ports(&config).map_err(|error| unusable(error.into()))?;
+        let settings = settings::of_http(&config, self.settings.get().tls.clone()).map_err(unusable)?;
+        let access = settings::of_access(&config).map_err(|error| unusable(error.into()))?;
+        let grippers = RunningGrippers::compare(&self.config, &config)?;
+        let ports = self.ports.prepare(&config, of_a_port).map_err(unusable)?;
+        let listener =
+            (config.listen != self.config.listen).then(|| self.listen(&config)).transpose().map_err(unusable)?;
+        let changes = differences(&self.config, &config, &grippers);
+        Ok(Prepared { config, access, settings, listener, grippers, ports, of_a_port, changes })
+    }
+
+    fn listen(&self, config: &Config) -> anyhow::Result<TcpListener> {
+        let _inside = self.accept.enter();
+        http::listen(config.listen)
+            .map_err(|error| listen::failed(format_args!("cannot listen on {} (listen)", config.listen), error))
+    }
+
+    async fn apply(&mut self, prepared: Prepared) -> anyhow::Result<()> {
+        let Prepared { config, access, settings, listener, grippers, ports, of_a_port, .. } = prepared;
+        self.shares.wsg_port = self.shares.wsg_port.max(of_a_port);
+        self.access.replace(access);
+        self.settings.replace(settings);
+        if let Some(listener) = listener {
+            self.listener.send_replace(Arc::new(listener));
+        }
+        let affected: Vec<Name> = [&grippers.removed, &grippers.changed].into_iter().flatten().cloned().collect();
+        let free = self.ports.end_changed(&ports, &affected).await;
+        let recovered = if grippers.added.is_empty() { None } else { Some(self.journal.recall().await?) };
+        self.grippers.apply(&config, grippers, &recovered.unwrap_or_default()).await?;
+        self.ports.start_changed(free, ports);
+        self.config = config;
+        Ok(())
+    }
+}
+
+/// Returns the settings that differ and cannot change while the gateway runs.
+fn fixed(before: &Config, after: &Config) -> Vec<&'static str> {
+    let journal = |config: &Config| (config.journal.place.clone(), config.journal.max_age, config.journal.max_bytes);
+    let differs = [
+        ("name", before.name != after.name),
+        ("the journal's path and limits", journal(before) != journal(after)),
+        ("zenoh", before.zenoh != after.zenoh),
+        ("webhooks", before.webhooks != after.webhooks),
+    ];
+    differs.into_iter().filter_map(|(name, differs)| differs.then_some(name)).collect()
+}
+
+/// Describes the changes in words.
+fn differences(before: &Config, after: &Config, grippers: &GripperChanges) -> Vec<String> {
+    let of_grippers = |names: &[Name], change: &'static str| {
+        names.iter().map(move |name| format!("gripper {name}: {change}")).collect::<Vec<_>>()
+    };
+    let mut changes = of_grippers(&grippers.removed, "removed");
+    changes.extend(of_grippers(&grippers.added, "added"));
+    changes.extend(of_grippers(&grippers.changed, "changed"));
+    let has_other_ports = |gripper: &&GripperConfig| {
+        let old = before.grippers.iter().find(|old| old.name == gripper.name);
+        old.is_some_and(|old| !old.wsg_port.is_same(&gripper.wsg_port))
+    };
+    let with_other_ports: Vec<_> =
+        after.grippers.iter().filter(has_other_ports).map(|gripper| gripper.name.clone()).collect();
+    changes.extend(of_grippers(&with_other_ports, "WSG port changed"));
+    let differs = [
+        ("listen", before.listen != after.listen),
+        ("hosts", before.hosts != after.hosts),
+        ("cors_origins", before.cors_origins != after.cors_origins),
+        ("frame_ancestors", before.frame_ancestors != after.frame_ancestors),
+        ("idle_timeout_s", before.idle_timeout != after.idle_timeout),
+        ("access and clients", before.access != after.access),
+        ("tls", before.tls != after.tls),
+    ];
+    changes.extend(differs.into_iter().filter_map(|(name, differs)| differs.then(|| format!("{name}: changed"))));
+    changes
+}

@@ -1,0 +1,123 @@
+//! Turns of TLS handshakes, so that a flood of them from one address leaves processor time for others.
+//!
+//! A handshake takes as much processor time as many requests. Few handshakes of one address run at the same time; of
+//! those that wait, the newest is next, since under a flood the oldest have probably been given up.
+
+use std::collections::HashMap;
+use std::net::{IpAddr, Ipv6Addr};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use tokio::sync::oneshot;
+
+/// Handshakes of one address that run at the same time.
+const AT_ONCE: usize = 4;
+
+#[derive(Debug, Clone, Default)]
+pub(super) struct Handshakes(Arc<Mutex<HashMap<IpAddr, Peer>>>);
+
+#[derive(Debug, Default)]
+struct Peer {
+    running: usize,
+    /// The oldest first. The admission of connections bounds their number.
+    waiting: Vec<oneshot::Sender<Turn>>,
+}
+
+/// The turn of a handshake, until it is dropped.
+#[derive(Debug)]
+pub(super) struct Turn {
+    handshakes: Handshakes,
+    peer: IpAddr,
+}
+
+impl Handshakes {
+    /// Waits for the turn of a handshake.
+    pub(super) async fn turn(&self, peer: IpAddr) -> Turn {
+        let peer = network(peer);
+        let waiting = {
+            let mut peers = self.peers();
+            let known = peers.entry(peer).or_default();
+            if known.running < AT_ONCE {
+                known.running += 1;
+                return Turn { handshakes: self.clone(), peer };
+            }
+            let (turn, waiting) = oneshot::channel();
+            known.waiting.retain(|turn| !turn.is_closed());
+            known.waiting.push(turn);
+            waiting
+        };
+        match waiting.await {
+            Ok(turn) => turn,
+            // Every waiting handshake gets its turn.
+            Err(_) => std::future::pending().await,
+        }
+    }
+
+    fn peers(&self) -> MutexGuard<'_, HashMap<IpAddr, Peer>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Drop for Turn {
+    fn drop(&mut self) {
+        let next = {
+            let mut peers = self.handshakes.peers();
+            let Some(known) = peers.get_mut(&self.peer) else { return };
+            known.waiting.retain(|turn| !turn.is_closed());
+            let next = known.waiting.pop();
+            if next.is_none() {
+                known.running -= 1;
+                if known.running == 0 {
+                    peers.remove(&self.peer);
+                }
+            }
+            next
+        };
+        if let Some(next) = next {
+            // If the handshake has just been given up, its turn is dropped here, and the next one begins.
+            let _ = next.send(Self { handshakes: self.handshakes.clone(), peer: self.peer });
+        }
+    }
+}
+
+/// Returns the address that stands for a client: one client can have all IPv6 addresses of a network.
+fn network(peer: IpAddr) -> IpAddr {
+    match peer.to_canonical() {
+        IpAddr::V4(peer) => peer.into(),
+        IpAddr::V6(peer) => Ipv6Addr::from_bits(peer.to_bits() & (u128::MAX << 64)).into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use futures_util::FutureExt as _;
+
+    use super::*;
+
+    #[tokio::test]
+    async fn newest_waiting_handshake_is_next() {
+        let (handshakes, flood) = (Handshakes::default(), IpAddr::from([127, 0, 0, 2]));
+        let mut running = Vec::new();
+        for _ in 0..AT_ONCE {
+            running.push(handshakes.turn(flood).await);
+        }
+        let mut waiting: Vec<_> = (0..3).map(|_| Box::pin(handshakes.turn(flood))).collect();
+        assert!(waiting.iter_mut().all(|turn| turn.as_mut().now_or_never().is_none()));
+        assert!(handshakes.turn([127, 0, 0, 1].into()).now_or_never().is_some(), "another address does not wait");
+        // The newest has given up.
+        drop(waiting.pop());
+        running.pop();
+        assert!(waiting[0].as_mut().now_or_never().is_none());
+        let turn = waiting[1].as_mut().now_or_never();
+        assert!(turn.is_some());
+        drop((turn, running, waiting));
+        assert!(handshakes.peers().is_empty());
+    }
+
+    #[test]
+    fn ipv6_network_is_one_client() {
+        let [one, other] = ["2001:db8::1", "2001:db8::2:1:0:0:1"].map(|text| network(text.parse().unwrap()));
+        assert_eq!(one, network("2001:db8::ffff".parse().unwrap()));
+        assert_ne!(one, other);
+        assert_eq!(network("::ffff:10.0.0.7".parse().unwrap()), IpAddr::from([10, 0, 0, 7]));
+    }
+}

@@ -1,0 +1,151 @@
+//! Reading the configuration again while the gateway runs.
+
+use std::path::PathBuf;
+
+use serde_json::{Value, json};
+
+use crate::harness::wsg::Driver;
+use crate::harness::{Gateway, Simulator, Socket, eventually, run};
+
+/// A gateway and its configuration file.
+struct Configured {
+    file: PathBuf,
+    gateway: Gateway,
+}
+
+impl Drop for Configured {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_file(&self.file);
+    }
+}
+
+impl Configured {
+    async fn start(toml: &str) -> Self {
+        let file = std::env::temp_dir().join(format!("wsg-reload-{}.toml", uuid::Uuid::now_v7()));
+        std::fs::write(&file, toml).unwrap();
+        let gateway = Gateway::start(&["--config", file.to_str().unwrap(), "--zenoh-listen", "tcp/127.0.0.1:0"]).await;
+        Self { file, gateway }
+    }
+
+    /// Reloads this configuration, and returns the changes.
+    async fn reload(&self, toml: &str) -> Value {
+        self.try_reload(toml).await.ok()["changes"].clone()
+    }
+
+    async fn try_reload(&self, toml: &str) -> crate::harness::Answer {
+        std::fs::write(&self.file, toml).unwrap();
+        self.gateway.send(self.gateway.request("POST", "/api/v1/reload").json(&json!({}))).await
+    }
+
+    async fn names(&self) -> Vec<String> {
+        let list = self.gateway.send(self.gateway.request("GET", "/api/v1/grippers")).await.ok();
+        list["grippers"].as_array().unwrap().iter().map(|one| one["gripper"].as_str().unwrap().to_owned()).collect()
+    }
+}
+
+fn gripper(name: &str, rest: &str) -> String {
+    format!("[grippers.{name}]\nurl = \"sim://wsg50\"\n{rest}\n")
+}
+
+#[tokio::test]
+async fn grippers_are_added_removed_and_changed_without_touching_the_others() {
+    let g = gripper("g", "");
+    let one = Configured::start(&format!("{g}{}", gripper("h", ""))).await;
+    let gateway = &one.gateway;
+    gateway.until_link("connected").await;
+    gateway.post("home", &json!({})).await.outcome("SUCCESS");
+    let mut socket = Socket::open(gateway).await;
+    socket.call("subscribe", json!({"topics": ["state"]})).await;
+    let id = gateway.begin("move", &json!({"width_mm": 10, "speed_mm_s": 20})).await;
+
+    assert_eq!(
+        one.reload(&format!("{g}{}", gripper("k", ""))).await,
+        json!(["gripper h: removed", "gripper k: added"])
+    );
+    assert_eq!(one.names().await, ["g", "k"]);
+    socket.notification("state", |update| update["gripper"] == "k").await;
+    let slower = gripper("k", "motion_pause_ms = 100\nwsg_port = \"127.0.0.1:0\"");
+    assert_eq!(one.reload(&format!("{g}{slower}")).await, json!(["gripper k: changed", "gripper k: WSG port changed"]));
+    assert_eq!(one.reload(&format!("{g}{slower}")).await, json!([]));
+    gateway.command(&id).await.ok();
+    let ended = gateway.send(gateway.request("GET", &format!("/api/v1/grippers/g/commands/{id}?wait_ms=20000"))).await;
+    ended.outcome("SUCCESS");
+    let figures = gateway.figures().await;
+    assert!(!figures.keys().any(|name| name.contains("gripper=\"h\"")), "the removed gripper has no metrics");
+    assert!(figures.keys().any(|name| name.contains("wsg_link_up{gripper=\"k\"")));
+    let reloaded = gateway.events("kind=gateway", 3).await;
+    let last = reloaded.last().unwrap();
+    assert_eq!((&last["event"], &last["subject"]), (&"reloaded".into(), &"http:127.0.0.1".into()), "{last}");
+}
+
+#[tokio::test]
+async fn unusable_configuration_changes_nothing() {
+    let g = gripper("g", "");
+    let one = Configured::start(&g).await;
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = taken.local_addr().unwrap();
+    for (toml, expected) in [
+        (format!("nonsense = 1\n{g}"), "nonsense"),
+        (format!("name = \"other\"\n{g}"), "name cannot change while the gateway runs"),
+        (format!("{g}{}", gripper("h", &format!("wsg_port = \"{port}\""))), "cannot listen on"),
+        (format!("{g}{}[tls]\ncertificate = \"none.pem\"\nkey = \"none.pem\"", gripper("h", "")), "none.pem"),
+    ] {
+        let refused = one.try_reload(&toml).await.problem(409, "invalid_configuration");
+        assert!(refused["detail"].as_str().unwrap().contains(expected), "{refused}");
+        assert_eq!(one.names().await, ["g"]);
+    }
+}
+
+#[tokio::test]
+async fn changed_device_is_left_cleanly() {
+    let [first, second] = [Simulator::start(&[]).await, Simulator::start(&[]).await];
+    let toml = |device: &Simulator| format!("[grippers.g]\nurl = \"tcp://{}\"\n", device.address);
+    let one = Configured::start(&toml(&first)).await;
+    one.gateway.until_link("connected").await;
+    one.gateway.post("fast-stop", &json!({})).await.ok();
+    assert_eq!(one.reload(&toml(&second)).await, json!(["gripper g: changed"]));
+    one.gateway.until_link("connected").await;
+    let state = one.gateway.state().await;
+    assert_eq!(state["fast_stop"], true, "the latch stays: {state}");
+    let mut driver = Driver::connect(first.address).await;
+    assert_eq!(driver.flags().await & 1 << 12, 1 << 12, "FAST STOP of the client");
+    driver.leave().await;
+}
+
+#[tokio::test]
+async fn port_keeps_its_socket_when_its_rules_change() {
+    let port = |rest: &str| gripper("g", &format!("wsg_port = \"127.0.0.1:0\"\n{rest}"));
+    let one = Configured::start(&port("")).await;
+    let address = one.gateway.word_after("WSG port of g: tcp://").await.parse().unwrap();
+    one.gateway.until_link("connected").await;
+    Driver::connect(address).await.leave().await;
+    assert_eq!(one.reload(&port("wsg_port_allow = [\"192.0.2.0/24\"]")).await, json!(["gripper g: WSG port changed"]));
+    let mut refused = tokio::net::TcpStream::connect(address).await.unwrap();
+    let read = tokio::io::AsyncReadExt::read(&mut refused, &mut [0; 8]).await;
+    assert!(matches!(read, Ok(0) | Err(_)), "{read:?}");
+    one.reload(&port("")).await;
+    Driver::connect(address).await.leave().await;
+}
+
+#[tokio::test]
+async fn hang_up_reloads() {
+    let g = gripper("g", "");
+    let one = Configured::start(&g).await;
+    one.gateway.until_link("connected").await;
+    std::fs::write(&one.file, format!("{g}{}", gripper("h", ""))).unwrap();
+    one.gateway.hang_up();
+    eventually("the new gripper", async || (one.names().await == ["g", "h"]).then_some(())).await;
+}
+
+#[tokio::test]
+async fn command_reloads_and_prints_the_changes() {
+    let g = gripper("g", "");
+    let one = Configured::start(&g).await;
+    std::fs::write(&one.file, format!("hosts = [\"gateway.example\"]\n{g}")).unwrap();
+    let url = one.gateway.url("/");
+    let ended = run(&["reload", "--url", &url]).await;
+    assert!(ended.status.success() && ended.stdout == "hosts: changed", "{ended:?}");
+    std::fs::write(&one.file, "nonsense = 1").unwrap();
+    let ended = run(&["reload", "--url", &url]).await;
+    assert!(!ended.status.success() && ended.stderr.contains("nonsense"), "{ended:?}");
+}
