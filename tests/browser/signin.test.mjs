@@ -57,7 +57,7 @@ test('an observer sees the gripper and no way to move it', async () => {
   await close();
 });
 
-test('a PIN adds a person\'s rights to a panel until it is locked', async () => {
+test("a PIN adds a person's rights to a panel until it is locked", async () => {
   const { served, observer, file } = await guarded();
   const pin = token(file, 'berta', 'operator', '--pin');
   const { page, close } = await visit(launched, served, {});

@@ -61,7 +61,8 @@ export function SignedIn() {
   const { proof, name, role } = me.value ?? {};
   if (proof !== 'session' && proof !== 'pin') return null;
   const who = html`<span class="signed-in">${t('signin.as', { name, role: t(`role.${role}`) })}</span>`;
-  if (proof === 'pin') return html`${who}<button type="button" id="lock" onClick=${forgetPin}>${t('pin.forget')}</button>`;
+  if (proof === 'pin')
+    return html`${who}<button type="button" id="lock" onClick=${forgetPin}>${t('pin.forget')}</button>`;
   const open = () => {
     isEntering.value = !isEntering.value;
   };
