@@ -266,3 +266,28 @@ test('the ruler reads as the width that it shows', async () => {
   assertClean(visitor);
   await visitor.close();
 });
+
+test('a notice with two long buttons fits on the narrowest screen', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served, { width: 320, height: 568, hasTouch: true, isMobile: true });
+  const { page } = visitor;
+  await page.waitForSelector('#take-control');
+  const width = await page.evaluate(() => {
+    const notice = document.createElement('div');
+    const buttons = ['Steuerung übernehmen', 'Nicht jetzt'].map((text) => {
+      const button = document.createElement('button');
+      button.textContent = text;
+      return button;
+    });
+    const place = document.createElement('div');
+    notice.className = 'notice';
+    place.className = 'buttons';
+    place.append(...buttons);
+    notice.append(place);
+    document.querySelector('.bar').append(notice);
+    return document.documentElement.scrollWidth;
+  });
+  assert.equal(width, 320);
+  assertClean(visitor);
+  await visitor.close();
+});
