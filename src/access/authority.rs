@@ -8,7 +8,7 @@ use serde::Deserialize;
 
 use super::credential::{Credential, SessionId};
 use super::identity::{Identity, Proof, Unauthorized};
-use super::known::{KnownClient, Origin};
+use super::known::{ClientOrigin, KnownClient};
 use super::pin::Pin;
 use super::role::{Right, Role};
 use super::session::{Behind, Sessions};
@@ -187,7 +187,7 @@ impl Access {
     ///
     /// # Errors
     /// The reason why the client is unknown.
-    pub fn identify(&self, credential: &Credential, origin: &Origin) -> Result<Identity, Unauthorized> {
+    pub fn identify(&self, credential: &Credential, origin: &ClientOrigin) -> Result<Identity, Unauthorized> {
         let AccessRules::Guarded(guard) = &*self.rules() else { return Ok(Identity::anyone()) };
         match credential {
             Credential::None => KnownClient::find(&guard.clients, origin).ok_or(Unauthorized::Missing),
@@ -214,7 +214,7 @@ impl Access {
     /// Returns the identity of a client of the WSG port, which can send no credential. `None` if the gateway names no
     /// clients, so that it knows none of them.
     #[must_use]
-    pub fn of_address(&self, origin: &Origin) -> Option<Identity> {
+    pub fn of_address(&self, origin: &ClientOrigin) -> Option<Identity> {
         match &*self.rules() {
             AccessRules::Open => None,
             AccessRules::Guarded(guard) => KnownClient::find(&guard.clients, origin),

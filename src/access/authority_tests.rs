@@ -43,23 +43,23 @@ fn create(tried: &Tried, name: &str, role: Role, expires_at: Option<Timestamp>) 
 fn token_is_valid_from_its_creation_to_its_revocation() {
     let tried = tried("life");
     let token = create(&tried, "mes", Role::Observer, None);
-    let identity = tried.access.identify(&token, &Origin::default()).unwrap();
+    let identity = tried.access.identify(&token, &ClientOrigin::default()).unwrap();
     assert_eq!((identity.name.unwrap().as_str(), identity.role, identity.proof), ("mes", Role::Observer, Proof::Token));
     tried.file.revoke(&"mes".parse().unwrap()).unwrap();
-    assert_eq!(tried.access.identify(&token, &Origin::default()), Err(Unauthorized::Unknown));
+    assert_eq!(tried.access.identify(&token, &ClientOrigin::default()), Err(Unauthorized::Unknown));
 }
 
 #[test]
 fn expired_token_is_refused() {
     let tried = tried("expired");
     let token = create(&tried, "mes", Role::Observer, Some(Timestamp::now() - 1.second()));
-    assert_eq!(tried.access.identify(&token, &Origin::default()), Err(Unauthorized::Expired));
+    assert_eq!(tried.access.identify(&token, &ClientOrigin::default()), Err(Unauthorized::Expired));
 }
 
 #[test]
 fn address_identifies_a_client_without_a_credential_only() {
     let tried = tried("address");
-    let at = |address: &str| Origin::from(address.parse::<std::net::IpAddr>().unwrap());
+    let at = |address: &str| ClientOrigin::from(address.parse::<std::net::IpAddr>().unwrap());
     let peer = &at("::ffff:192.168.1.10");
     let plc = tried.access.identify(&Credential::None, peer).unwrap();
     assert!(plc.may(Right::Operate, Some(&"left".parse().unwrap())) && !plc.may(Right::Operate, None));
@@ -68,10 +68,10 @@ fn address_identifies_a_client_without_a_credential_only() {
     assert_eq!(tried.access.identify(&Credential::Malformed, peer), Err(Unauthorized::Malformed));
     assert_eq!(tried.access.identify(&Credential::None, &at("192.168.1.11")), Err(Unauthorized::Missing));
     // A certificate decides before the address.
-    let mes = Origin { certificate: Some("mes".into()), ..peer.clone() };
+    let mes = ClientOrigin { certificate: Some("mes".into()), ..peer.clone() };
     let mes = tried.access.identify(&Credential::None, &mes).unwrap();
     assert_eq!((mes.role, mes.proof), (Role::Observer, Proof::Certificate));
-    let unknown = Origin { certificate: Some("plc".into()), address: None };
+    let unknown = ClientOrigin { certificate: Some("plc".into()), address: None };
     assert_eq!(tried.access.identify(&Credential::None, &unknown), Err(Unauthorized::Missing));
 }
 
@@ -83,7 +83,8 @@ fn pin_adds_a_persons_rights_to_a_session() {
     let new = NewToken { name: "anna".parse().unwrap(), role: Role::Operator, grippers: None, expires_at: None };
     let pin = tried.file.create_pin(Timestamp::now(), new).unwrap();
     let session = Credential::Session(id.clone());
-    let now = || tried.access.identify(&session, &Origin::default()).map(|identity| identity.name.unwrap().to_string());
+    let now =
+        || tried.access.identify(&session, &ClientOrigin::default()).map(|identity| identity.name.unwrap().to_string());
     let stranger = SessionId::parse(&"x".repeat(43)).unwrap();
     assert_eq!(tried.access.enter_pin(&stranger, &pin), Err(Unauthorized::SessionEnded));
     let wrong = if pin.expose() == "000000" { "000001" } else { "000000" };
@@ -110,7 +111,7 @@ fn sessions_outlive_new_rules() {
     assert!(!tried.access.lets_anyone_stop());
     tried.access.replace(AccessRules::Guarded(guard));
     assert!(tried.access.lets_anyone_stop());
-    assert!(tried.access.identify(&Credential::Session(id), &Origin::default()).is_ok());
+    assert!(tried.access.identify(&Credential::Session(id), &ClientOrigin::default()).is_ok());
 }
 
 #[test]
@@ -119,28 +120,28 @@ fn session_ends_with_its_token() {
     let Credential::Token(secret) = create(&tried, "anna", Role::Operator, None) else { panic!("not a token") };
     let (id, identity) = tried.access.sign_in(&secret).unwrap().unwrap();
     let session = Credential::Session(id.clone());
-    let found = tried.access.identify(&session, &Origin::default());
+    let found = tried.access.identify(&session, &ClientOrigin::default());
     assert_eq!(found, Ok(Identity { session: Some(id.clone()), ..identity }));
     tried.file.revoke(&"anna".parse().unwrap()).unwrap();
-    assert_eq!(tried.access.identify(&session, &Origin::default()), Err(Unauthorized::SessionEnded));
+    assert_eq!(tried.access.identify(&session, &ClientOrigin::default()), Err(Unauthorized::SessionEnded));
     assert!(tried.access.sign_in(&secret).is_err());
     tried.access.sign_out(&id);
-    assert_eq!(tried.access.identify(&session, &Origin::default()), Err(Unauthorized::SessionEnded));
+    assert_eq!(tried.access.identify(&session, &ClientOrigin::default()), Err(Unauthorized::SessionEnded));
 }
 
 #[test]
 fn unreadable_file_keeps_the_known_tokens() {
     let tried = tried("unreadable");
     let token = create(&tried, "mes", Role::Observer, None);
-    tried.access.identify(&token, &Origin::default()).unwrap();
+    tried.access.identify(&token, &ClientOrigin::default()).unwrap();
     fs::write(tried.file.path(), "{").unwrap();
-    assert!(tried.access.identify(&token, &Origin::default()).is_ok());
+    assert!(tried.access.identify(&token, &ClientOrigin::default()).is_ok());
     fs::remove_file(tried.file.path()).unwrap();
-    assert_eq!(tried.access.identify(&token, &Origin::default()), Err(Unauthorized::Unknown));
+    assert_eq!(tried.access.identify(&token, &ClientOrigin::default()), Err(Unauthorized::Unknown));
 }
 
 #[test]
 fn open_gateway_lets_anyone_do_everything() {
-    let anyone = Access::default().identify(&Credential::None, &Origin::default()).unwrap();
+    let anyone = Access::default().identify(&Credential::None, &ClientOrigin::default()).unwrap();
     assert!(anyone.may(Right::Supervise, None) && Access::default().lets_anyone_stop());
 }

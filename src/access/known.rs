@@ -21,22 +21,22 @@ pub struct KnownClient {
 /// The sign by which a client is known.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum ClientSign {
-    /// Its address is in this network.
+    /// An address in this network.
     Address(IpNet),
-    /// Its certificate, which `client_ca` has signed, is for this common name (RFC 5280, 4.1.2.6).
+    /// A certificate for this common name (RFC 5280, 4.1.2.6), signed by an authority of `client_ca`.
     Certificate(String),
 }
 
 /// The origin of a connection.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct Origin {
+pub struct ClientOrigin {
     /// Address of the client; `None` on an interface without addresses.
     pub address: Option<IpAddr>,
     /// Common name of the client's certificate, which was verified.
     pub certificate: Option<Arc<str>>,
 }
 
-impl From<IpAddr> for Origin {
+impl From<IpAddr> for ClientOrigin {
     fn from(address: IpAddr) -> Self {
         Self { address: Some(address.to_canonical()), certificate: None }
     }
@@ -45,7 +45,7 @@ impl From<IpAddr> for Origin {
 impl KnownClient {
     /// Returns the identity of the client with this origin, if one of these clients has it. A certificate proves more
     /// than an address, so it decides first.
-    pub(super) fn find(clients: &[Self], origin: &Origin) -> Option<Identity> {
+    pub(super) fn find(clients: &[Self], origin: &ClientOrigin) -> Option<Identity> {
         let certificate = origin.certificate.as_deref();
         let by_certificate = clients
             .iter()

@@ -18,7 +18,7 @@ mod visitor;
 pub use authority::{Access, AccessRules, FastStopPolicy, Guard, SessionTimes};
 pub use credential::{Credential, SessionId};
 pub use identity::{Identity, Proof, Scope, Unauthorized};
-pub use known::{ClientSign, KnownClient, Origin};
+pub use known::{ClientOrigin, ClientSign, KnownClient};
 pub use pin::Pin;
 pub use role::{Right, Role};
 pub use token::TokenSecret;

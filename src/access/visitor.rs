@@ -3,14 +3,14 @@
 use super::authority::Access;
 use super::credential::Credential;
 use super::identity::{Identity, Unauthorized};
-use super::known::Origin;
+use super::known::ClientOrigin;
 
 /// Credential and origin of a client. A connection that lasts is checked again for each request, so that a revocation takes effect
 /// at once.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Visitor {
     pub credential: Credential,
-    pub origin: Origin,
+    pub origin: ClientOrigin,
 }
 
 impl Visitor {

@@ -1,4 +1,4 @@
-//! What the gateway prints when it serves: addresses, and what to try.
+//! The announcement on standard output: the addresses, and a command to try.
 
 use std::io::Write;
 use std::net::SocketAddr;

@@ -25,7 +25,7 @@ pub(super) struct RunningGrippers {
     running: BTreeMap<Name, RunningGripper>,
 }
 
-/// A running gripper, with what a new configuration of it needs.
+/// The parts of a running gripper that a new configuration uses.
 struct RunningGripper {
     connector: Arc<dyn Connector>,
     metrics: GripperMetrics,
@@ -33,7 +33,7 @@ struct RunningGripper {
 }
 
 /// The difference between two configurations of grippers.
-pub(super) struct GripperChanges {
+pub(super) struct GripperDifferences {
     pub(super) added: Vec<Name>,
     pub(super) removed: Vec<Name>,
     /// Grippers with another configuration, or with other settings of all grippers.
@@ -61,10 +61,10 @@ impl RunningGrippers {
     }
 
     /// Compares two configurations, and prepares the devices of the new one.
-    pub(super) fn compare(before: &Config, after: &Config) -> Result<GripperChanges, ConfigError> {
+    pub(super) fn compare(before: &Config, after: &Config) -> Result<GripperDifferences, ConfigError> {
         let find = |config: &Config, name: &Name| config.grippers.iter().find(|gripper| gripper.name == *name).cloned();
         let mut changes =
-            GripperChanges { added: vec![], removed: vec![], changed: vec![], connectors: BTreeMap::new() };
+            GripperDifferences { added: vec![], removed: vec![], changed: vec![], connectors: BTreeMap::new() };
         let is_gone = |gripper: &&GripperConfig| find(after, &gripper.name).is_none();
         changes.removed = before.grippers.iter().filter(is_gone).map(|gripper| gripper.name.clone()).collect();
         let of_all = |config: &Config| (config.drain, config.journal.on_failure);
@@ -88,7 +88,7 @@ impl RunningGrippers {
     pub(super) async fn apply(
         &mut self,
         config: &Config,
-        mut changes: GripperChanges,
+        mut changes: GripperDifferences,
         recovered: &Recovered,
     ) -> anyhow::Result<()> {
         let leaving: Vec<_> = changes.removed.iter().filter_map(|name| self.grippers.get(name)).collect();

@@ -8,7 +8,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::listen;
 use crate::access::Access;
-use crate::config::{AcknowledgePolicy, Config, WsgAddress, WsgPort};
+use crate::config::{AcknowledgePolicy, Config, ConfigPlace, WsgAddress, WsgPort};
 use crate::gripper::Grippers;
 use crate::gripper::model::Name;
 use crate::interfaces::metrics::WsgPortMetrics;
@@ -50,7 +50,7 @@ pub(super) struct Ports {
     context: PortContext,
 }
 
-/// What all ports share.
+/// The parts of the gateway that all ports use.
 pub(super) struct PortContext {
     /// The grippers' runtime, so that a Loop to a gripper and back needs no change of threads. The ports have few
     /// clients, and the work of each turn is bounded.
@@ -70,19 +70,19 @@ pub(super) struct PortChanges {
 
 /// Binds all ports. `descriptors` is the share of each port's TCP clients.
 pub(super) fn bind(config: &Config, descriptors: usize) -> anyhow::Result<Vec<BoundPort>> {
-    configured(config).into_iter().map(|port| BoundPort::bind(port, descriptors)).collect()
+    configured(config).into_iter().map(|(port, place)| BoundPort::bind(port, place, descriptors)).collect()
 }
 
-fn configured(config: &Config) -> Vec<ConfiguredPort> {
-    let of_gripper = |gripper: &crate::config::GripperConfig| {
-        let (name, rules) = (gripper.name.clone(), rules(&gripper.wsg_port));
-        let port = move |(address, _): &(WsgAddress, _)| {
-            let address = listen_address(*address);
-            ConfiguredPort { gripper: name.clone(), address, rules: rules.clone() }
-        };
-        gripper.wsg_port.addresses.iter().map(port).collect::<Vec<_>>()
-    };
-    config.grippers.iter().flat_map(of_gripper).collect()
+fn configured(config: &Config) -> Vec<(ConfiguredPort, &ConfigPlace)> {
+    let mut ports = Vec::new();
+    for gripper in &config.grippers {
+        let rules = rules(&gripper.wsg_port);
+        for (address, place) in &gripper.wsg_port.addresses {
+            let (gripper, address) = (gripper.name.clone(), listen_address(*address));
+            ports.push((ConfiguredPort { gripper, address, rules: rules.clone() }, place));
+        }
+    }
+    ports
 }
 
 fn listen_address(address: WsgAddress) -> ListenAddress {
@@ -103,10 +103,10 @@ impl ConfiguredPort {
 }
 
 impl BoundPort {
-    fn bind(configured: ConfiguredPort, descriptors: usize) -> anyhow::Result<Self> {
+    fn bind(configured: ConfiguredPort, place: &ConfigPlace, descriptors: usize) -> anyhow::Result<Self> {
         let ConfiguredPort { gripper, address, .. } = &configured;
         let listener = Listener::bind(*address).map_err(|error| {
-            listen::failed(format_args!("the WSG port of {gripper} cannot listen on {address} (wsg_port)"), error)
+            listen::failed(format_args!("{place}: the WSG port of {gripper} cannot listen on {address}"), error)
         })?;
         Ok(Self { gripper: gripper.clone(), listener, configured, descriptors })
     }
@@ -137,11 +137,14 @@ impl Ports {
 
     /// Binds the ports of a configuration that are not served yet.
     pub(super) fn prepare(&self, config: &Config, descriptors: usize) -> anyhow::Result<PortChanges> {
-        let configured = configured(config);
-        let is_new = |port: &&ConfiguredPort| !self.served.iter().any(|served| served.configured.is_same_socket(port));
-        let new = configured.iter().filter(is_new).cloned();
-        let bound = new.map(|port| BoundPort::bind(port, descriptors)).collect::<Result<_, _>>()?;
-        Ok(PortChanges { configured, bound })
+        let mut changes = PortChanges { configured: Vec::new(), bound: Vec::new() };
+        for (port, place) in configured(config) {
+            if !self.served.iter().any(|served| served.configured.is_same_socket(&port)) {
+                changes.bound.push(BoundPort::bind(port.clone(), place, descriptors)?);
+            }
+            changes.configured.push(port);
+        }
+        Ok(changes)
     }
 
     /// Ends the ports that the new configuration does not have, or has with other rules. Their clients lose their

@@ -9,7 +9,7 @@ use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
 
 use super::descriptors::Shares;
-use super::grippers::{GripperChanges, RunningGrippers};
+use super::grippers::{GripperDifferences, RunningGrippers};
 use super::ports::{PortChanges, Ports};
 use super::{listen, settings, systemd};
 use crate::access::{Access, AccessRules};
@@ -43,7 +43,7 @@ struct Prepared {
     settings: HttpSettings,
     /// `None` if the address stays.
     listener: Option<TcpListener>,
-    grippers: GripperChanges,
+    grippers: GripperDifferences,
     ports: PortChanges,
     /// Descriptors for the clients of each new WSG port.
     of_a_port: usize,
@@ -166,7 +166,7 @@ fn fixed(before: &Config, after: &Config) -> Vec<&'static str> {
 }
 
 /// Describes the changes in words.
-fn differences(before: &Config, after: &Config, grippers: &GripperChanges) -> Vec<String> {
+fn differences(before: &Config, after: &Config, grippers: &GripperDifferences) -> Vec<String> {
     let of_grippers = |names: &[Name], change: &'static str| {
         names.iter().map(move |name| format!("gripper {name}: {change}")).collect::<Vec<_>>()
     };

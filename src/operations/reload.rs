@@ -34,7 +34,7 @@ pub struct ReloadRequest {
 #[derive(Debug, Serialize, ToSchema)]
 #[schema(example = json!({"changes": ["gripper left: added", "gripper right: changed", "hosts: changed"]}))]
 pub struct Reloaded {
-    /// What has changed, in words; empty if nothing has.
+    /// The changes, in words; empty without any.
     changes: Vec<String>,
 }
 

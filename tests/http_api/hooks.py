@@ -32,8 +32,9 @@ def after_call(context, case, response):
     gripper = request.url.split("?")[0].removesuffix("/disconnect")
     lease = case.body.get("lease") if isinstance(case.body, dict) else None
     headers = {"Wsg-Lease": lease or request.headers.get("Wsg-Lease", "")}
+    headers |= {name: value for name, value in request.headers.items() if name == "Authorization"}
     requests.post(f"{gripper}/connect", headers=headers, timeout=CONNECTED_WITHIN_S).raise_for_status()
     deadline = time.monotonic() + CONNECTED_WITHIN_S
-    while requests.get(f"{gripper}/state", timeout=CONNECTED_WITHIN_S).json()["link"] != "connected":
+    while requests.get(f"{gripper}/state", headers=headers, timeout=CONNECTED_WITHIN_S).json()["link"] != "connected":
         assert time.monotonic() < deadline, f"{gripper} is not connected again"
         time.sleep(0.01)

@@ -122,7 +122,7 @@ async fn readiness_follows_the_device_and_reconnects_are_counted() {
         eventually("the gateway is ready", async || Some(gateway.get("/readyz").await).filter(|it| it.status == 200));
     assert_eq!(
         ready.await.body,
-        json!({"gateway": "gateway", "ready": true, "journal_cause": null, "journal_damage": null, "zenoh_cause": null, "not_ready": [],
+        json!({"gateway": "gateway", "ready": true, "journal_cause": null, "journal_damage": null, "zenoh_cause": null, "not_ready": [], "warnings": [],
             "version": env!("CARGO_PKG_VERSION")})
     );
     let figures = gateway.figures().await;

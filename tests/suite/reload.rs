@@ -1,7 +1,10 @@
 //! Reading the configuration again while the gateway runs.
 
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
 
+use rand::rngs::StdRng;
+use rand::{RngExt as _, SeedableRng as _};
 use serde_json::{Value, json};
 
 use crate::harness::wsg::Driver;
@@ -74,7 +77,7 @@ async fn grippers_are_added_removed_and_changed_without_touching_the_others() {
     assert!(!figures.keys().any(|name| name.contains("gripper=\"h\"")), "the removed gripper has no metrics");
     assert!(figures.keys().any(|name| name.contains("wsg_link_up{gripper=\"k\"")));
     let reloaded = gateway.events("kind=gateway", 3).await;
-    let last = reloaded.last().unwrap();
+    let last = &reloaded[0];
     assert_eq!((&last["event"], &last["subject"]), (&"reloaded".into(), &"http:127.0.0.1".into()), "{last}");
 }
 
@@ -148,4 +151,59 @@ async fn command_reloads_and_prints_the_changes() {
     std::fs::write(&one.file, "nonsense = 1").unwrap();
     let ended = run(&["reload", "--url", &url]).await;
     assert!(!ended.status.success() && ended.stderr.contains("nonsense"), "{ended:?}");
+}
+
+/// Returns a configuration with `g`, and with other grippers that come, go and change.
+fn configuration(random: &mut StdRng) -> String {
+    let (idle_timeout_s, host) = (random.random_range(5..8), random.random_range(0..3));
+    let mut toml = format!("idle_timeout_s = {idle_timeout_s}\nhosts = [\"h{host}.example\"]\n");
+    toml += &gripper("g", "");
+    for name in ["h", "k", "m"] {
+        match random.random_range(0..4) {
+            0 => {}
+            1 => toml += &gripper(name, ""),
+            2 => toml += &gripper(name, "motion_pause_ms = 100"),
+            _ => toml += &gripper(name, "update_period_ms = 20\nwsg_port = \"127.0.0.1:0\""),
+        }
+    }
+    toml
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn two_hundred_reloads_disturb_no_client_of_an_unchanged_gripper() {
+    let mut random = StdRng::seed_from_u64(7);
+    let one = Configured::start(&configuration(&mut random)).await;
+    let gateway = &one.gateway;
+    gateway.until_link("connected").await;
+    gateway.post("home", &json!({})).await.outcome("SUCCESS");
+    let mut socket = Socket::open(gateway).await;
+    socket.call("subscribe", json!({"topics": ["state", "frames"]})).await;
+    let is_over = AtomicBool::new(false);
+    let moving = async {
+        let mut moved = 0;
+        while !is_over.load(Ordering::Relaxed) {
+            let width_mm = if moved % 2 == 0 { 60 } else { 70 };
+            gateway.post("move", &json!({"width_mm": width_mm, "speed_mm_s": 400})).await.outcome("SUCCESS");
+            moved += 1;
+        }
+        moved
+    };
+    let reloading = async {
+        let mut memory = Vec::new();
+        for count in 1..=200 {
+            one.reload(&configuration(&mut random)).await;
+            if count % 50 == 0 {
+                memory.push(gateway.figures().await["process_resident_memory_bytes"] / 1e6);
+            }
+        }
+        is_over.store(true, Ordering::Relaxed);
+        memory
+    };
+    let (moved, memory) = tokio::join!(moving, reloading);
+    println!("{moved} motions during 200 reloads; resident MB after each 50: {memory:.1?}");
+    assert!(moved > 10);
+    assert_eq!(socket.call("state", json!({"gripper": "g"})).await["link"], "connected", "the WebSocket is still open");
+    let link = gateway.figures().await;
+    assert!(link["wsg_reconnects_total{gripper=\"g\"}"] < 1.0, "the unchanged gripper keeps its link");
+    assert!(memory[3] < memory[1] + 15.0, "resident memory grows: {memory:?} MB");
 }

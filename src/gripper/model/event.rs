@@ -335,7 +335,7 @@ pub enum GatewayEvent {
     },
     /// A new configuration is in use.
     Reloaded {
-        /// What has changed, in words.
+        /// The changes, in words.
         changes: Vec<String>,
     },
     /// The previous run of the gateway did not shut down cleanly.

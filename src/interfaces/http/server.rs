@@ -45,7 +45,7 @@ use super::redirect;
 use super::router::router;
 use super::settings::HttpSettings;
 use super::visitor::{Identified, cookie_name};
-use crate::access::Origin;
+use crate::access::ClientOrigin;
 use crate::interfaces::admission::{Admission, Bounds, ConnectionPermit, Usage};
 use crate::interfaces::client_stream::{ClientStream, EncryptedStream};
 use crate::interfaces::metrics::Connected;
@@ -335,7 +335,7 @@ impl Server {
         let (moves, home) = watch::channel(runtime.clone());
         let service = Requests {
             server: self.clone(),
-            origin: Origin { certificate, ..peer.ip().into() },
+            origin: ClientOrigin { certificate, ..peer.ip().into() },
             permit: permit.clone(),
             home: Home::new(moves),
             pace: Arc::default(),
@@ -417,7 +417,7 @@ impl Connection {
 #[derive(Clone)]
 struct Requests {
     server: Arc<Server>,
-    origin: Origin,
+    origin: ClientOrigin,
     permit: Arc<ConnectionPermit>,
     home: Home,
     pace: Arc<RequestPace>,

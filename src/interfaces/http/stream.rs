@@ -237,7 +237,7 @@ mod tests {
     use prometheus::TextEncoder;
 
     use super::*;
-    use crate::access::{Credential, Origin};
+    use crate::access::{ClientOrigin, Credential};
     use crate::gripper::fake::{self, FakeScript};
     use crate::gripper::model::{Client, Door, FastStopId, Reason};
 
@@ -246,7 +246,7 @@ mod tests {
         let (handle, _seen) = fake::gripper("left", FakeScript::default());
         let context = HttpContext::of([handle.clone()]);
         let uri = Uri::from_static("/stream?topics=state,telemetry&max_hz=10");
-        let nobody = Visitor { credential: Credential::None, origin: Origin::default() };
+        let nobody = Visitor { credential: Credential::None, origin: ClientOrigin::default() };
         let mut stream = Stream::new(&context, nobody, &HeaderMap::new(), &uri).unwrap();
         // No time passes between the changes; each is sent as a state and as telemetry.
         for (changes, later_ms, expected) in [(0, 0, 0), (3, 0, 0), (3, 350, 4), (1, 350, 4), (10, 100, 4)] {

@@ -3,7 +3,7 @@
 use axum::http::header::{AUTHORIZATION, COOKIE, HeaderValue};
 use axum::http::{Extensions, HeaderMap};
 
-use crate::access::{Access, Credential, Identity, Origin, SessionId, Unauthorized, Visitor};
+use crate::access::{Access, ClientOrigin, Credential, Identity, SessionId, Unauthorized, Visitor};
 use crate::gripper::model::{Client, Door, Name};
 
 /// Name of the cookie with a session's id.
@@ -25,7 +25,7 @@ pub struct Identified {
 }
 
 impl Identified {
-    pub fn of(access: &Access, headers: &HeaderMap, origin: Origin, cookie: &str) -> Self {
+    pub fn of(access: &Access, headers: &HeaderMap, origin: ClientOrigin, cookie: &str) -> Self {
         let visitor = Visitor { credential: credential(headers, cookie), origin };
         let identity = visitor.identity(access);
         Self { visitor, identity }
@@ -34,7 +34,7 @@ impl Identified {
     /// Returns the client of a request. A request that no connection brought comes from nobody.
     pub fn client_of(access: &Access, extensions: &Extensions) -> Self {
         extensions.get().cloned().unwrap_or_else(|| {
-            let visitor = Visitor { credential: Credential::None, origin: Origin::default() };
+            let visitor = Visitor { credential: Credential::None, origin: ClientOrigin::default() };
             let identity = visitor.identity(access);
             Self { visitor, identity }
         })

@@ -301,7 +301,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
         while let Some(ordered) = self.device.poll_order() {
             self.uses_scripts |= matches!(&ordered.order, PortOrder::Exchange(wsg::Command::Custom(custom))
                 if !self.port.gripper.only_reads(custom.id()));
-            if self.is_allowed(&ordered.order) {
+            if self.port.allows_order(self.address, &ordered.order) {
                 let step = self.step_of(ordered);
                 self.begin(step);
             } else {
@@ -310,17 +310,6 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
                 self.refusals.record(&self.port, &self.client, &refused);
                 self.answer(ask, PortReply::Refused(RefusedStatus { status, fast_stop: None }));
             }
-        }
-    }
-
-    /// Whether the client's role allows an order. A FAST STOP, a read and the end of a lease need none.
-    fn is_allowed(&self, order: &PortOrder) -> bool {
-        match order {
-            PortOrder::FastStop | PortOrder::Release => true,
-            PortOrder::Command(Action::Stop) => self.port.may_stop(self.address),
-            PortOrder::Exchange(wsg::Command::Custom(custom)) if self.port.gripper.only_reads(custom.id()) => true,
-            PortOrder::Exchange(command) if command.is_read() => true,
-            _ => self.port.may_operate(self.address),
         }
     }
 

@@ -18,7 +18,7 @@ use zenoh::session::ZenohId;
 
 use super::client::client;
 use super::clients::{Bond, Clients, MAX_QUERIES};
-use crate::access::{Credential, Identity, Origin, Right, Unauthorized};
+use crate::access::{ClientOrigin, Credential, Identity, Right, Unauthorized};
 use crate::fleet::keys::{ZenohKeys, decoded, last_part};
 use crate::fleet::{EVENTS, GRIPS, READINESS, TOKEN};
 use crate::gripper::model::{Client, Door, Name, Text, Urgency};
@@ -312,7 +312,7 @@ impl Queries {
             // A wrong token must not prevent a FAST STOP that needs none on this network.
             _ if is_fast_stop(&asked.method) => Ok(self.gateway.access.of_network()),
             Credential::None => Ok(self.gateway.access.of_network()),
-            credential => self.gateway.access.identify(credential, &Origin::default()),
+            credential => self.gateway.access.identify(credential, &ClientOrigin::default()),
         }
     }
 

@@ -28,7 +28,7 @@ use tokio_tungstenite::tungstenite::Message;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest as _;
 use tokio_util::task::AbortOnDropHandle;
 
-use crate::harness::{Process, run};
+use crate::harness::{Process, eventually, run};
 
 /// A client's certificate and key.
 type ClientCertificate = (CertificateDer<'static>, PrivateKeyDer<'static>);
@@ -76,7 +76,9 @@ async fn secure_stream_of(
     from: [u8; 4],
     own: Option<&ClientCertificate>,
 ) -> std::io::Result<TlsStream<TcpStream>> {
-    let pem = std::fs::read(gateway.directory.join("certificate.pem")).unwrap();
+    let authority = gateway.directory.join("authority.pem");
+    let trusted = if authority.exists() { authority } else { gateway.directory.join("certificate.pem") };
+    let pem = std::fs::read(trusted).unwrap();
     let mut roots = RootCertStore::empty();
     roots.add(CertificateDer::from_pem_slice(&pem).unwrap()).unwrap();
     let config = ClientConfig::builder_with_provider(Arc::new(default_provider()));
@@ -282,4 +284,49 @@ async fn flood_of_handshakes_delays_no_fast_stop() {
         fresh[20], fresh[36], fresh[39], open[20], open[36], open[39]
     );
     assert!(fresh[36] < STOPPED_WITHIN && open[36] < STOPPED_WITHIN, "{fresh:?} {open:?}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn certificate_swapped_under_load_drops_nothing() {
+    let (plant, ca) = authority("plant");
+    let plant = Arc::new(plant);
+    let swap = |directory: &Path| {
+        let mut params = CertificateParams::new(["localhost".to_owned()]).unwrap();
+        params.distinguished_name.push(DnType::CommonName, "gateway");
+        let key = KeyPair::generate().unwrap();
+        let certificate = params.signed_by(&key, &*plant).unwrap();
+        std::fs::write(directory.join("certificate.pem"), certificate.pem()).unwrap();
+        std::fs::write(directory.join("key.pem"), key.serialize_pem()).unwrap();
+    };
+    let gateway = initialised_with(|directory, config| {
+        std::fs::write(directory.join("authority.pem"), ca).unwrap();
+        swap(directory);
+        config
+    })
+    .await;
+    let gateway = Arc::new(gateway);
+    let served = Arc::new(AtomicU32::new(0));
+    let load = |_| {
+        let (gateway, served) = (gateway.clone(), served.clone());
+        AbortOnDropHandle::new(tokio::spawn(async move {
+            loop {
+                let mut client = HttpsClient::connect(&gateway).await.unwrap();
+                for _ in 0..5 {
+                    assert_eq!(client.status("GET", "/healthz", None).await, 200);
+                }
+                served.fetch_add(1, Ordering::Relaxed);
+            }
+        }))
+    };
+    let mut loads: Vec<_> = (0..8).map(load).collect();
+    let mut open = HttpsClient::connect(&gateway).await.unwrap();
+    for _ in 0..20 {
+        swap(&gateway.directory);
+        let before = served.load(Ordering::Relaxed);
+        eventually("connections after the swap", async || (served.load(Ordering::Relaxed) > before + 16).then_some(()))
+            .await;
+        assert_eq!(open.status("GET", "/healthz", None).await, 200, "the open connection continues");
+    }
+    println!("{} connections during 20 swaps", served.load(Ordering::Relaxed));
+    assert!(loads.iter_mut().all(|load| !load.is_finished()), "no request failed");
 }

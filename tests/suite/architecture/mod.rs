@@ -33,7 +33,7 @@ const ROOMS: &str = "
     interfaces/http: access alarms interfaces interfaces/dashboard interfaces/websocket events fleet operations
         gripper gripper/model journal trends
     interfaces/websocket: access interfaces events gripper gripper/model operations
-    interfaces/wsg_port: interfaces gripper gripper/model operations wsg wsg/crc wsg/frame
+    interfaces/wsg_port: access interfaces gripper gripper/model operations wsg wsg/crc wsg/frame
     interfaces/zenoh: access interfaces events fleet gripper gripper/model journal operations
     events: alarms fleet gripper gripper/model journal
     fleet: gripper gripper/model
