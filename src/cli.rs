@@ -164,8 +164,7 @@ pub fn run() -> anyhow::Result<()> {
         Some(Command::PackageFiles { directory }) => package::write(&directory, Cli::command()),
         Some(Command::Reload(args)) => {
             let changes = daemon::runtime()?.block_on(reload::reload(&args))?;
-            let lines: String = changes.iter().map(|change| format!("{change}\n")).collect();
-            quietly(write!(std::io::stdout(), "{lines}"))
+            quietly(changes.iter().try_for_each(|change| writeln!(std::io::stdout(), "{change}")))
         }
         Some(Command::Token(args)) => token::run(&args, std::io::stdout().lock()),
         Some(Command::Init(args)) => init::run(&args, std::io::stdout().lock()),

@@ -11,7 +11,7 @@ use super::identity::{Identity, Proof, Unauthorized};
 use super::known::{ClientOrigin, KnownClient};
 use super::pin::Pin;
 use super::role::{Right, Role};
-use super::session::{Behind, Sessions};
+use super::session::{Behind, SessionTimes, Sessions};
 use super::token::TokenSecret;
 use super::token_file::{FileVersion, StoredToken, TokenFile, TokenFileError, TokenHash, Tokens};
 
@@ -28,14 +28,6 @@ pub enum FastStopPolicy {
     Credential,
 }
 
-/// Times after which idle sessions end.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct SessionTimes {
-    pub idle: Duration,
-    /// Time after which the rights of a PIN end.
-    pub pin_idle: Duration,
-}
-
 /// Identifies clients, by rules that a reload can change.
 #[derive(Debug, Default)]
 pub struct Access {
@@ -49,7 +41,7 @@ pub enum AccessRules {
     /// Clients need none.
     #[default]
     Open,
-    Guarded(Guard),
+    Guarded(Box<Guard>),
 }
 
 /// The credentials of a gateway.

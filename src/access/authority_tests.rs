@@ -31,7 +31,7 @@ fn tried(name: &str) -> Tried {
     let mes = KnownClient { sign: ClientSign::Certificate("mes".to_owned()), role: Role::Observer, ..plc.clone() };
     let times = SessionTimes { idle: Duration::from_mins(10), pin_idle: Duration::from_mins(5) };
     let guard = Guard::new(file.clone(), vec![plc, mes], (FastStopPolicy::Credential, None), times).unwrap();
-    Tried { directory, file, access: Access::new(AccessRules::Guarded(guard)) }
+    Tried { directory, file, access: Access::new(AccessRules::Guarded(Box::new(guard))) }
 }
 
 fn create(tried: &Tried, name: &str, role: Role, expires_at: Option<Timestamp>) -> Credential {
@@ -109,7 +109,7 @@ fn sessions_outlive_new_rules() {
     let times = SessionTimes { idle: Duration::from_mins(1), pin_idle: Duration::from_mins(1) };
     let guard = Guard::new(tried.file.clone(), Vec::new(), (FastStopPolicy::Anyone, None), times).unwrap();
     assert!(!tried.access.lets_anyone_stop());
-    tried.access.replace(AccessRules::Guarded(guard));
+    tried.access.replace(AccessRules::Guarded(Box::new(guard)));
     assert!(tried.access.lets_anyone_stop());
     assert!(tried.access.identify(&Credential::Session(id), &ClientOrigin::default()).is_ok());
 }

@@ -15,12 +15,13 @@ mod token;
 mod token_file;
 mod visitor;
 
-pub use authority::{Access, AccessRules, FastStopPolicy, Guard, SessionTimes};
+pub use authority::{Access, AccessRules, FastStopPolicy, Guard};
 pub use credential::{Credential, SessionId};
 pub use identity::{Identity, Proof, Scope, Unauthorized};
 pub use known::{ClientOrigin, ClientSign, KnownClient};
 pub use pin::Pin;
 pub use role::{Right, Role};
+pub use session::SessionTimes;
 pub use token::TokenSecret;
 pub use token_file::{NewToken, StoredToken, TokenFile, TokenFileError};
 pub use visitor::Visitor;

@@ -4,7 +4,6 @@ use std::collections::HashMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use super::authority::SessionTimes;
 use super::credential::SessionId;
 use super::token_file::TokenHash;
 
@@ -19,6 +18,14 @@ const MAX_WRONG_PINS: u32 = 5;
 
 /// Wait after too many wrong PINs. A million PINs then take more than 130 days.
 const PIN_PAUSE: Duration = Duration::from_mins(1);
+
+/// Times after which idle sessions end.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SessionTimes {
+    pub idle: Duration,
+    /// Time after which the rights of a PIN end.
+    pub pin_idle: Duration,
+}
 
 #[derive(Debug, Default)]
 pub(super) struct Sessions(Mutex<Open>);

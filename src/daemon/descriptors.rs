@@ -70,7 +70,7 @@ impl Shares {
         let (own, ports) = needs(config);
         let in_use = self.wsg_port.max(wsg_port::MIN_DESCRIPTORS);
         let needed = own + self.http + ports * in_use;
-        let free = self.limit.checked_sub(own + self.http).unwrap_or_default();
+        let free = self.limit.saturating_sub(own + self.http);
         match free.checked_div(ports) {
             Some(share) if share < in_use => Err(TooFew { limit: self.limit, needed }),
             _ if needed > self.limit => Err(TooFew { limit: self.limit, needed }),

@@ -17,9 +17,11 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
-use tokio::runtime::{Builder, Runtime};
+use tokio::net::TcpListener;
+use tokio::runtime::{Builder, Handle, Runtime};
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::{oneshot, watch};
+use tokio::task::JoinHandle;
 use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 use url::Url;
@@ -29,9 +31,9 @@ use crate::alarms::Alarms;
 use crate::config::{self, Config, ConfigError, DeviceSource, Flags};
 use crate::events::LiveUpdates;
 use crate::fleet::Peers;
-use crate::gripper::Now;
 use crate::gripper::model::{Detail, Event, GatewayEvent};
 use crate::gripper::recorder::{Record, Recorder as _};
+use crate::gripper::{Grippers, Now};
 use crate::interfaces::{self, Bounds, http, zenoh};
 use crate::journal::{self, Journal, Recovered};
 use crate::operations::Gateway;
@@ -42,7 +44,7 @@ use crate::trends::Trends;
 use crate::webhooks::{WebhookContext, Webhooks};
 use descriptors::Shares;
 use grippers::RunningGrippers;
-use ports::Ports;
+use ports::{PortContext, Ports};
 use reload::Reloader;
 pub use simulation::{ServedDevice, SimulatedDevice, Switch, serve as serve_device};
 
@@ -103,14 +105,70 @@ pub fn check(config: &Config) -> Result<(), ConfigError> {
 
 async fn run_gateway(flags: &Flags, config: Config, runtimes: &runtimes::Owned, shares: Shares) -> anyhow::Result<()> {
     let stop = stop_signal()?;
+    let running = start(flags, config, runtimes, shares).await?;
+    systemd::ready();
+    tokio::select! {
+        () = stop => {}
+        () = running.audit.count() => {}
+        () = systemd::feed_watchdog(&running.grippers) => {}
+    }
+    systemd::stopping();
+    running.end().await
+}
+
+/// The running parts of the gateway.
+struct RunningGateway {
+    reloading: JoinHandle<Reloader>,
+    server: JoinHandle<()>,
+    zenoh: Option<JoinHandle<()>>,
+    grippers: Grippers,
+    webhooks: Arc<Webhooks>,
+    audit: Arc<Audit>,
+    journal: Journal,
+    /// Ends the reloads, the links to the grippers, and everything else, in this order.
+    stopping: CancellationToken,
+    draining: CancellationToken,
+    shutdown: CancellationToken,
+}
+
+impl RunningGateway {
+    /// Releases the grippers, and ends all parts.
+    async fn end(self) -> anyhow::Result<()> {
+        // A reload under way is finished first, so that no gripper is left behind.
+        self.stopping.cancel();
+        let Reloader { ports, listener, .. } = self.reloading.await?;
+        tracing::info!("shutting down: draining grippers");
+        self.draining.cancel();
+        self.grippers.drain().await;
+        self.shutdown.cancel();
+        drop(listener);
+        self.server.await?;
+        if let Some(zenoh) = self.zenoh {
+            zenoh.await?;
+        }
+        self.webhooks.ended().await;
+        ports.ended().await?;
+        self.audit.write_down();
+        Ok(self.journal.close().await?)
+    }
+}
+
+fn listen_http(config: &Config, accept: &Handle) -> anyhow::Result<TcpListener> {
+    let _inside = accept.enter();
+    http::listen(config.listen)
+        .map_err(|error| listen::failed(format_args!("cannot listen on {} (--listen)", config.listen), error))
+}
+
+async fn start(
+    flags: &Flags,
+    config: Config,
+    runtimes: &runtimes::Owned,
+    shares: Shares,
+) -> anyhow::Result<RunningGateway> {
     let hang_up = signal(SignalKind::hangup())?;
     // Bound before any gripper is connected, so a taken port does not cost a connect and a disconnect.
     let clients = runtimes.of_clients();
-    let listener = {
-        let _inside = clients.accept.enter();
-        http::listen(config.listen)
-            .map_err(|error| listen::failed(format_args!("cannot listen on {} (--listen)", config.listen), error))?
-    };
+    let listener = listen_http(&config, &clients.accept)?;
     let address = listener.local_addr()?;
     let ports = ports::bind(&config, shares.wsg_port)?;
     let settings = http::SharedSettings::new(settings::of_http(&config, None)?);
@@ -174,55 +232,29 @@ async fn run_gateway(flags: &Flags, config: Config, runtimes: &runtimes::Owned, 
     // Zenoh has a task of its own, so the rest continues whatever happens to Zenoh.
     let zenoh =
         on_zenoh.map(|(settings, context)| tokio::spawn(zenoh::serve(settings, context, announce::announce_zenoh)));
-    let (devices, metrics) = (runtimes.devices.handle().clone(), port_metrics);
-    let (audit_of_ports, access_of_ports) = (audit.clone(), access.clone());
-    let port_context = ports::PortContext {
-        devices,
-        audit: audit_of_ports,
-        access: access_of_ports,
-        metrics,
+    let port_context = PortContext {
+        devices: runtimes.devices.handle().clone(),
+        audit: audit.clone(),
+        access: access.clone(),
+        metrics: port_metrics,
         draining: draining.clone(),
         closing: shutdown.clone(),
     };
-    let ports = Ports::serve(ports, grippers.clone(), port_context)?;
-    let (flags, journal_of_reloads, accept) = (flags.clone(), journal.clone(), clients.accept.clone());
     let reloader = Reloader {
-        flags,
+        flags: flags.clone(),
         config,
         shares,
-        journal: journal_of_reloads,
+        journal: journal.clone(),
         access,
         settings,
         listener,
-        accept,
+        accept: clients.accept.clone(),
         grippers: running,
-        ports,
+        ports: Ports::serve(ports, grippers.clone(), port_context)?,
     };
     let stopping = CancellationToken::new();
     let reloading = tokio::spawn(reloader.run(reload_requests, hang_up, stopping.clone()));
-    systemd::ready();
-    tokio::select! {
-        () = stop => {}
-        () = audit.count() => {}
-        () = systemd::feed_watchdog(&grippers) => {}
-    }
-    systemd::stopping();
-    // A reload under way is finished first, so that no gripper is left behind.
-    stopping.cancel();
-    let Reloader { ports, listener, .. } = reloading.await?;
-    tracing::info!("shutting down: draining grippers");
-    draining.cancel();
-    grippers.drain().await;
-    shutdown.cancel();
-    drop(listener);
-    server.await?;
-    if let Some(zenoh) = zenoh {
-        zenoh.await?;
-    }
-    webhooks.ended().await;
-    ports.ended().await?;
-    audit.write_down();
-    Ok(journal.close().await?)
+    Ok(RunningGateway { reloading, server, zenoh, grippers, webhooks, audit, journal, stopping, draining, shutdown })
 }
 
 fn open_journal(config: &Config) -> Result<(Journal, Recovered), journal::OpenError> {

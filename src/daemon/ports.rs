@@ -148,10 +148,10 @@ impl Ports {
     }
 
     /// Ends the ports that the new configuration does not have, or has with other rules. Their clients lose their
-    /// connections; ports of `changed` grippers end too.
-    pub(super) async fn end_changed(&mut self, changes: &PortChanges, changed: &[Name]) -> Vec<BoundPort> {
+    /// connections; ports of these grippers end too.
+    pub(super) async fn end_changed(&mut self, changes: &PortChanges, grippers: &[Name]) -> Vec<BoundPort> {
         let is_kept = |port: &ServedPort| {
-            changes.configured.contains(&port.configured) && !changed.contains(&port.configured.gripper)
+            changes.configured.contains(&port.configured) && !grippers.contains(&port.configured.gripper)
         };
         let (kept, ended): (Vec<_>, Vec<_>) = std::mem::take(&mut self.served).into_iter().partition(is_kept);
         self.served = kept;

@@ -162,7 +162,7 @@ fn fixed(before: &Config, after: &Config) -> Vec<&'static str> {
         ("zenoh", before.zenoh != after.zenoh),
         ("webhooks", before.webhooks != after.webhooks),
     ];
-    differs.into_iter().filter_map(|(name, differs)| differs.then_some(name)).collect()
+    differs.into_iter().filter(|(_, differs)| *differs).map(|(name, _)| name).collect()
 }
 
 /// Describes the changes in words.
@@ -189,6 +189,7 @@ fn differences(before: &Config, after: &Config, grippers: &GripperDifferences) -
         ("access and clients", before.access != after.access),
         ("tls", before.tls != after.tls),
     ];
-    changes.extend(differs.into_iter().filter_map(|(name, differs)| differs.then(|| format!("{name}: changed"))));
+    let others = differs.into_iter().filter(|(_, differs)| *differs);
+    changes.extend(others.map(|(name, _)| format!("{name}: changed")));
     changes
 }

@@ -32,5 +32,5 @@ pub(super) fn of_access(config: &Config) -> Result<AccessRules, TokenFileError> 
     let is_exposed = config.tls.is_none() && !config.listen.ip().is_loopback();
     let config::Guarded { tokens, clients, fast_stop, zenoh_role, times } = guarded.clone();
     let guard = Guard::new(TokenFile::at(tokens), clients, (fast_stop, zenoh_role), times)?;
-    Ok(AccessRules::Guarded(guard.exposed(is_exposed)))
+    Ok(AccessRules::Guarded(Box::new(guard.exposed(is_exposed))))
 }

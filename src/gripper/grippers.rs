@@ -78,7 +78,7 @@ impl GripperChanges {
     /// Waits until grippers are added or removed. Cancel-safe.
     pub async fn wait(&mut self) {
         if self.0.changed().await.is_err() {
-            std::future::pending().await
+            std::future::pending::<()>().await;
         }
     }
 }

@@ -14,7 +14,8 @@ use tokio_util::sync::CancellationToken;
 use super::device::{PortOrder, PortOrdered, PortReply, PortRequest, VirtualDevice};
 use super::port::Port;
 use super::refusals::{Cause, Refusals, Refused};
-use super::status::{RefusedStatus, status_of_end};
+use super::rights;
+use super::status::RefusedStatus;
 use crate::gripper::clock::{self, sleep_until};
 use crate::gripper::model::{
     Action, Client, CommandReport, FastStopId, LeaseToken, Motion, Outcome, Phase, Reason, State, Submission, TakeLease,
@@ -131,8 +132,10 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
     /// Serves the client until it is gone, or until `closing`.
     pub(super) async fn run(mut self, closing: CancellationToken) {
         if self.serve(&closing).await == End::Closing {
-            // The gripper was released cleanly. The client must still learn how its last motion ended.
+            // At shutdown, the gripper was released cleanly. The client must still learn how its last motion ended.
             let _ = tokio::time::timeout(LAST_WORDS_WITHIN, self.finish()).await;
+            // After a reload, the gripper is still there.
+            self.leave_lease().await;
             return;
         }
         if self.is_fresh {
@@ -150,14 +153,8 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             tokio::task::yield_now().await;
         }
         self.start_orders();
-        if self.device.has_announced() {
-            // An error means that the actor has ended and released its device.
-            let _ = self.port.gripper.release_lease(Some(self.token.clone())).await;
-            self.device.forget_waiting();
-        } else {
-            self.device.forget_waiting();
-            self.lose_lease().await;
-        }
+        self.device.forget_waiting();
+        self.leave_lease().await;
         // FAST STOPs of the client may still be waiting for their turn.
         let _ = tokio::time::timeout(LAST_WORDS_WITHIN, self.finish_fast_stops()).await;
     }
@@ -252,6 +249,16 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
         }
     }
 
+    /// Releases the lease of a client that has announced its disconnect, and loses that of any other.
+    async fn leave_lease(&mut self) {
+        if self.device.has_announced() {
+            // An error means that the actor has ended and released its device.
+            let _ = self.port.gripper.release_lease(Some(self.token.clone())).await;
+        } else {
+            self.lose_lease().await;
+        }
+    }
+
     async fn lose_lease(&mut self) {
         // The token belongs to this connection alone, however often the lease was taken.
         self.port.gripper.lose_lease(self.token.clone(), None).await;
@@ -301,7 +308,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
         while let Some(ordered) = self.device.poll_order() {
             self.uses_scripts |= matches!(&ordered.order, PortOrder::Exchange(wsg::Command::Custom(custom))
                 if !self.port.gripper.only_reads(custom.id()));
-            if self.port.allows_order(self.address, &ordered.order) {
+            if rights::allows(&self.port, self.address, &ordered.order) {
                 let step = self.step_of(ordered);
                 self.begin(step);
             } else {
@@ -450,9 +457,9 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             end = PortRequest { is_awaited: false, ..ask };
         }
         if command.phase == Phase::Done {
-            return self.answer(end, ended(command));
+            return self.answer(end, PortReply::of_end(command));
         }
-        let ended = async move { Step::Answered(end, ended(&ticket.ended().await)) };
+        let ended = async move { Step::Answered(end, PortReply::of_end(&ticket.ended().await)) };
         self.begin(ended.boxed());
     }
 
@@ -482,19 +489,5 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
     fn forget_lost_lease(&mut self, state: &State) {
         let is_held = |kept: &Kept| state.lease_holder.is_some() && state.lease_epoch == kept.epoch;
         self.kept.take_if(|kept| !is_held(kept));
-    }
-}
-
-/// Returns a command's final reply.
-fn ended(command: &CommandReport) -> PortReply {
-    if let Some(rejection) = &command.rejection {
-        return PortReply::Refused(rejection.into());
-    }
-    match status_of_end(command) {
-        Status::E_SUCCESS => {
-            let answer = command.payload.as_deref().and_then(|payload| hex::decode(payload).ok());
-            PortReply::Reply(Reply::Success(answer.map_or(Data::None, Data::Custom)))
-        }
-        status => PortReply::Reply(Reply::Status(status)),
     }
 }

@@ -19,10 +19,10 @@ use super::acknowledge::AcknowledgeRight;
 use super::input::{PortInput, ReceivedRequest, Unusable};
 use super::port::Rules;
 use super::refusals::{Cause, Refused};
-use super::status::RefusedStatus;
+use super::status::{RefusedStatus, status_of_end};
 use super::values::{tells_fast_stop, value};
 use crate::gripper::FastStop;
-use crate::gripper::model::{Action, CustomIds, FastStopId, Link, State};
+use crate::gripper::model::{Action, CommandReport, CustomIds, FastStopId, Link, State};
 use crate::wsg::{ChecksumEvaluation, Command, Data, Reply, Status, Subscriptions, Updates, id};
 
 /// Maximum number of waiting requests of one client. More are answered with E_OVERRUN.
@@ -77,6 +77,22 @@ pub(super) enum PortReply {
     /// A fault can't be acknowledged without an id: it is over, or a FAST STOP was found behind it.
     NoFault,
     FastStopped(FastStop),
+}
+
+impl PortReply {
+    /// The final reply of a command.
+    pub(super) fn of_end(command: &CommandReport) -> Self {
+        if let Some(rejection) = &command.rejection {
+            return Self::Refused(rejection.into());
+        }
+        match status_of_end(command) {
+            Status::E_SUCCESS => {
+                let answer = command.payload.as_deref().and_then(|payload| hex::decode(payload).ok());
+                Self::Reply(Reply::Success(answer.map_or(Data::None, Data::Custom)))
+            }
+            status => Self::Reply(Reply::Status(status)),
+        }
+    }
 }
 
 /// The FAST STOPs of one client. All that arrive while one is unanswered are combined into one more. Any number of FAST

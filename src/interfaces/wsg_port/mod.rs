@@ -2,8 +2,8 @@
 //!
 //! `device` is the virtual device, a pure machine. Its parts are `input` (parses requests), `values` (what getters
 //! return), `acknowledge` (the right to clear a FAST STOP) and `status` (maps refusals to statuses). `client` is the
-//! I/O around the device, and `refusals` reports what was refused. `tcp` and `udp` accept clients; `unreachable`
-//! notices dead ones.
+//! I/O around the device, `rights` checks the clients' roles, and `refusals` reports what was refused. `tcp` and `udp`
+//! accept clients; `unreachable` notices dead ones.
 //!
 //! A motion takes a free lease, and the client keeps the lease until it announces its disconnect (07h) or is lost. No
 //! client gets a frame that it has not requested.
@@ -15,6 +15,7 @@ mod input;
 mod listener;
 mod port;
 mod refusals;
+mod rights;
 mod status;
 mod tcp;
 mod udp;

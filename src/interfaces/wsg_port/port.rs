@@ -7,15 +7,13 @@ use std::time::Duration;
 use ipnet::IpNet;
 use tokio_util::sync::CancellationToken;
 
-use super::device::PortOrder;
-use crate::access::{Access, Identity, Right};
+use crate::access::{Access, Identity};
 use crate::gripper::Handle;
-use crate::gripper::model::{Action, Client, Door};
+use crate::gripper::model::{Client, Door};
 use crate::interfaces::admission::{Admission, Bounds, ConnectionPermit};
 use crate::interfaces::metrics::WsgPortMetrics;
 use crate::interfaces::sockets;
 use crate::operations::audit::Audit;
-use crate::wsg;
 
 /// Maximum number of clients of one port. Only one of them moves the gripper, so there are seldom more than a few.
 const MAX_CLIENTS: usize = 128;
@@ -87,21 +85,8 @@ impl Port {
     }
 
     /// The identity of a client that the configuration knows by its address.
-    fn identity(&self, peer: IpAddr) -> Option<Identity> {
+    pub(super) fn identity(&self, peer: IpAddr) -> Option<Identity> {
         self.access.of_address(&peer.into())
-    }
-
-    /// Whether a client's role allows an order. A FAST STOP, a read and the end of a lease need none. The list of allowed
-    /// networks admits operators.
-    pub(super) fn allows_order(&self, peer: IpAddr, order: &PortOrder) -> bool {
-        let right = match order {
-            PortOrder::FastStop | PortOrder::Release => return true,
-            PortOrder::Command(Action::Stop) => Right::Stop,
-            PortOrder::Exchange(wsg::Command::Custom(custom)) if self.gripper.only_reads(custom.id()) => return true,
-            PortOrder::Exchange(command) if command.is_read() => return true,
-            _ => Right::Operate,
-        };
-        self.identity(peer).is_none_or(|identity| identity.may(right, Some(self.gripper.name())))
     }
 
     /// Returns a client with its configured name, or else identified by its IP address. A restarted driver is the same
