@@ -65,7 +65,7 @@ pub enum Unauthorized {
     SessionEnded,
     #[error("this PIN is wrong or was revoked")]
     WrongPin,
-    #[error("too many wrong PINs: wait a minute")]
+    #[error("too many wrong PINs: wait five minutes")]
     TooManyPins,
 }
 

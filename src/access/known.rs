@@ -4,6 +4,7 @@ use std::net::IpAddr;
 use std::sync::Arc;
 
 use ipnet::IpNet;
+use jiff::Timestamp;
 
 use super::identity::{Identity, Proof, Scope};
 use super::role::Role;
@@ -32,8 +33,16 @@ pub enum ClientSign {
 pub struct ClientOrigin {
     /// Address of the client; `None` on an interface without addresses.
     pub address: Option<IpAddr>,
-    /// Common name of the client's certificate, which was verified.
-    pub certificate: Option<Arc<str>>,
+    /// The client's certificate, which was verified.
+    pub certificate: Option<ClientCertificate>,
+}
+
+/// The holder of a certificate.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ClientCertificate {
+    /// Common name (RFC 5280, 4.1.2.6).
+    pub common_name: Arc<str>,
+    pub expires_at: Timestamp,
 }
 
 impl From<IpAddr> for ClientOrigin {
@@ -46,10 +55,13 @@ impl KnownClient {
     /// Returns the identity of the client with this origin, if one of these clients has it. A certificate proves more
     /// than an address, so it decides first.
     pub(super) fn find(clients: &[Self], origin: &ClientOrigin) -> Option<Identity> {
-        let certificate = origin.certificate.as_deref();
-        let by_certificate = clients
-            .iter()
-            .find(|client| matches!(&client.sign, ClientSign::Certificate(name) if certificate == Some(name.as_str())));
+        // A connection can outlast its certificate.
+        let certificate = origin.certificate.as_ref().filter(|certificate| certificate.expires_at > Timestamp::now());
+        let by_certificate = certificate.and_then(|certificate| {
+            let is_holder =
+                |client: &&Self| matches!(&client.sign, ClientSign::Certificate(name) if **name == *certificate.common_name);
+            clients.iter().find(is_holder)
+        });
         let by_address = || {
             let address = origin.address?;
             clients.iter().find(|client| matches!(&client.sign, ClientSign::Address(net) if net.contains(&address)))

@@ -16,8 +16,8 @@ const MAX_PER_TOKEN: usize = 16;
 /// Wrong PINs that a token's sessions can enter in a row, before they have to wait.
 const MAX_WRONG_PINS: u32 = 5;
 
-/// Wait after too many wrong PINs. A million PINs then take more than 130 days.
-const PIN_PAUSE: Duration = Duration::from_mins(1);
+/// Wait after too many wrong PINs. A million PINs then take almost two years.
+const PIN_PAUSE: Duration = Duration::from_mins(5);
 
 /// Times after which idle sessions end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

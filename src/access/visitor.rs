@@ -4,6 +4,7 @@ use super::authority::Access;
 use super::credential::Credential;
 use super::identity::{Identity, Unauthorized};
 use super::known::ClientOrigin;
+use super::role::Right;
 
 /// Credential and origin of a client. A connection that lasts is checked again for each request, so that a revocation takes effect
 /// at once.
@@ -18,6 +19,12 @@ impl Visitor {
     /// The reason why the client is unknown.
     pub fn identity(&self, access: &Access) -> Result<Identity, Unauthorized> {
         access.identify(&self.credential, &self.origin)
+    }
+
+    /// Whether the client may still read.
+    #[must_use]
+    pub fn may_read(&self, access: &Access) -> bool {
+        self.identity(access).is_ok_and(|identity| identity.may(Right::Read, None))
     }
 
     /// Whether the client is still known.

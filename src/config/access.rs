@@ -162,7 +162,15 @@ fn clients(file: &File) -> Result<Vec<KnownClient>, ConfigError> {
 }
 
 fn network(text: &str) -> Result<IpNet, String> {
-    let network = text.parse::<IpNet>().or_else(|_| text.parse::<IpAddr>().map(IpNet::from));
+    let network =
+        text.parse::<IpNet>().or_else(|_| text.parse::<IpAddr>().map(|address| address.to_canonical().into()));
+    // Clients have canonical addresses, so others would match nobody.
+    let network = network.map(|network| match network.addr().to_canonical() {
+        IpAddr::V4(address) if network.prefix_len() > 96 => {
+            IpNet::new(address.into(), network.prefix_len() - 96).unwrap_or(network)
+        }
+        _ => network,
+    });
     network.map_err(|_| format!("{text:?} is not an address or a network: write 192.168.1.10 or 192.168.1.0/24"))
 }
 

@@ -29,6 +29,19 @@ fn credentials_are_needed_where_they_are_mentioned() {
 }
 
 #[test]
+fn mapped_address_is_that_of_its_clients() {
+    for (text, expected) in
+        [("::ffff:127.0.0.9", "127.0.0.9/32"), ("::ffff:10.0.0.0/120", "10.0.0.0/24"), ("::1", "::1/128")]
+    {
+        let [client] = guarded(&format!("[[clients]]\nname = \"c\"\naddress = \"{text}\"\nrole = \"stop\""))
+            .clients
+            .try_into()
+            .unwrap();
+        assert_eq!(client.sign, ClientSign::Address(expected.parse().unwrap()));
+    }
+}
+
+#[test]
 fn every_key_is_read() {
     let access = guarded(
         "[access]\ntokens = \"/run/tokens\"\nfast_stop = \"credential\"\nzenoh_role = \"operator\"\nsession_idle_h = 1\npin_idle_min = 2",

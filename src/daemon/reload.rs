@@ -13,12 +13,12 @@ use super::grippers::{GripperDifferences, RunningGrippers};
 use super::ports::{PortChanges, Ports};
 use super::{listen, settings, systemd};
 use crate::access::{Access, AccessRules};
-use crate::config::{Config, ConfigError, Flags, GripperConfig};
+use crate::config::{AccessConfig, Config, ConfigError, ConfigPlace, Flags, GripperConfig};
 use crate::gripper::Now;
 use crate::gripper::model::{Client, Detail, Event, GatewayEvent, Name};
 use crate::gripper::recorder::{Record, Recorder as _};
 use crate::interfaces::http::{self, HttpSettings, SharedSettings};
-use crate::journal::Journal;
+use crate::journal::{Journal, Recovered};
 use crate::operations::reload::ReloadRequest;
 
 /// The parts of the gateway that a reload changes.
@@ -44,6 +44,8 @@ struct Prepared {
     /// `None` if the address stays.
     listener: Option<TcpListener>,
     grippers: GripperDifferences,
+    /// The journal's knowledge of added grippers.
+    recovered: Recovered,
     ports: PortChanges,
     /// Descriptors for the clients of each new WSG port.
     of_a_port: usize,
@@ -125,8 +127,13 @@ impl Reloader {
         let ports = self.ports.prepare(&config, of_a_port).map_err(unusable)?;
         let listener =
             (config.listen != self.config.listen).then(|| self.listen(&config)).transpose().map_err(unusable)?;
+        let recovered = if grippers.added.is_empty() {
+            Recovered::default()
+        } else {
+            self.journal.recall().await.map_err(|error| unusable(error.into()))?
+        };
         let changes = differences(&self.config, &config, &grippers);
-        Ok(Prepared { config, access, settings, listener, grippers, ports, of_a_port, changes })
+        Ok(Prepared { config, access, settings, listener, grippers, recovered, ports, of_a_port, changes })
     }
 
     fn listen(&self, config: &Config) -> anyhow::Result<TcpListener> {
@@ -136,7 +143,7 @@ impl Reloader {
     }
 
     async fn apply(&mut self, prepared: Prepared) -> anyhow::Result<()> {
-        let Prepared { config, access, settings, listener, grippers, ports, of_a_port, .. } = prepared;
+        let Prepared { config, access, settings, listener, grippers, recovered, ports, of_a_port, .. } = prepared;
         self.shares.wsg_port = self.shares.wsg_port.max(of_a_port);
         self.access.replace(access);
         self.settings.replace(settings);
@@ -144,9 +151,9 @@ impl Reloader {
             self.listener.send_replace(Arc::new(listener));
         }
         let affected: Vec<Name> = [&grippers.removed, &grippers.changed].into_iter().flatten().cloned().collect();
+        // The ports take FAST STOPs until the grippers are released.
+        self.grippers.apply(&config, grippers, &recovered).await?;
         let free = self.ports.end_changed(&ports, &affected).await;
-        let recovered = if grippers.added.is_empty() { None } else { Some(self.journal.recall().await?) };
-        self.grippers.apply(&config, grippers, &recovered.unwrap_or_default()).await?;
         self.ports.start_changed(free, ports);
         self.config = config;
         Ok(())
@@ -155,12 +162,19 @@ impl Reloader {
 
 /// Returns the settings that differ and cannot change while the gateway runs.
 fn fixed(before: &Config, after: &Config) -> Vec<&'static str> {
+    let is_guarded = |config: &Config| config.access != AccessConfig::Open;
+    let has_defaults = |config: &Config| config.grippers.iter().any(|gripper| gripper.place == ConfigPlace::Default);
     let journal = |config: &Config| (config.journal.place.clone(), config.journal.max_age, config.journal.max_bytes);
     let differs = [
         ("name", before.name != after.name),
         ("the journal's path and limits", journal(before) != journal(after)),
         ("zenoh", before.zenoh != after.zenoh),
         ("webhooks", before.webhooks != after.webhooks),
+        // Open connections began under the other rule.
+        ("whether clients need credentials", is_guarded(before) != is_guarded(after)),
+        ("whether connections are encrypted", before.tls.is_some() != after.tls.is_some()),
+        // An empty file, e.g. while an editor writes it, stands for simulated grippers.
+        ("the grippers of the file to the default ones", !has_defaults(before) && has_defaults(after)),
     ];
     differs.into_iter().filter(|(_, differs)| *differs).map(|(name, _)| name).collect()
 }

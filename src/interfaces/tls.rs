@@ -7,18 +7,20 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError, RwLock};
 use std::time::SystemTime;
 
-use tokio_rustls::TlsAcceptor;
+use jiff::Timestamp;
 use tokio_rustls::rustls::crypto::ring::default_provider;
 use tokio_rustls::rustls::pki_types::pem::{self, PemObject as _};
 use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
-use tokio_rustls::rustls::server::WebPkiClientVerifier;
+use tokio_rustls::rustls::server::{NoServerSessionStorage, WebPkiClientVerifier};
 use tokio_rustls::rustls::{self, RootCertStore, ServerConfig};
 use x509_parser::prelude::{FromDer as _, GeneralName, X509Certificate};
+
+use crate::access::ClientCertificate;
 
 /// Permissions that the key's file must not grant. Its group may read it, as on many systems.
 const FOR_EVERYONE: u32 = 0o007;
 
-/// The files of a server's certificate, and the acceptor made of them.
+/// The files of a server's certificate, and the configuration of TLS made of them.
 #[derive(Debug)]
 pub struct Tls {
     files: TlsFiles,
@@ -38,7 +40,7 @@ pub struct TlsFiles {
 
 struct Current {
     written: Written,
-    acceptor: TlsAcceptor,
+    config: Arc<ServerConfig>,
 }
 
 impl std::fmt::Debug for Current {
@@ -69,7 +71,7 @@ impl Tls {
     /// # Errors
     /// [`TlsError`]
     pub fn new(files: TlsFiles) -> Result<Self, TlsError> {
-        let current = Current { written: files.written(), acceptor: files.acceptor()? };
+        let current = Current { written: files.written(), config: files.config()? };
         Ok(Self { files, current: RwLock::new(current) })
     }
 
@@ -78,26 +80,26 @@ impl Tls {
         &self.files
     }
 
-    /// Returns an acceptor with the newest certificate. If the new files cannot be used, the last ones stay in use.
-    pub fn acceptor(&self) -> TlsAcceptor {
+    /// Returns a configuration with the newest certificate. If the new files cannot be used, the last ones stay in use.
+    pub fn config(&self) -> Arc<ServerConfig> {
         let written = self.files.written();
         let current = self.current.read().unwrap_or_else(PoisonError::into_inner);
         if current.written == written {
-            return current.acceptor.clone();
+            return current.config.clone();
         }
         drop(current);
         let mut current = self.current.write().unwrap_or_else(PoisonError::into_inner);
         if current.written != written {
             current.written = written;
-            match self.files.acceptor() {
-                Ok(acceptor) => {
+            match self.files.config() {
+                Ok(config) => {
                     tracing::info!(certificate = %self.files.certificate.display(), "new certificate in use");
-                    current.acceptor = acceptor;
+                    current.config = config;
                 }
                 Err(error) => tracing::error!(%error, "new certificate not used: the last one stays in use"),
             }
         }
-        current.acceptor.clone()
+        current.config.clone()
     }
 }
 
@@ -110,7 +112,7 @@ impl TlsFiles {
 
     /// Reads the files. TLS 1.2 and 1.3 are spoken, with the cipher suites of rustls, which are all strong. Clients may
     /// have a certificate; one that no authority has signed ends the handshake.
-    fn acceptor(&self) -> Result<TlsAcceptor, TlsError> {
+    fn config(&self) -> Result<Arc<ServerConfig>, TlsError> {
         let Self { certificate, key, client_ca } = self;
         let chain = certificates(certificate)?;
         let mode = fs::metadata(key).map_err(|cause| failed(key, cause))?.mode();
@@ -140,18 +142,25 @@ impl TlsFiles {
             .with_single_cert(chain, private)
             .map_err(unusable)?;
         config.alpn_protocols = vec![b"http/1.1".to_vec()];
-        Ok(TlsAcceptor::from(Arc::new(config)))
+        if client_ca.is_some() {
+            // A resumed session would not check the client's certificate again.
+            config.session_storage = Arc::new(NoServerSessionStorage {});
+            config.send_tls13_tickets = 0;
+        }
+        Ok(Arc::new(config))
     }
 }
 
-/// Returns the common name of a client's certificate (RFC 5280, 4.1.2.6), if it has one.
+/// Returns the holder of a client's certificate, if it has one common name.
 #[must_use]
-pub fn common_name(certificate: &CertificateDer<'_>) -> Option<Arc<str>> {
+pub fn holder(certificate: &CertificateDer<'_>) -> Option<ClientCertificate> {
     let (_, certificate) = X509Certificate::from_der(certificate).ok()?;
     let mut names = certificate.subject().iter_common_name();
     // With two names, it would be open which one the authority has checked.
     let (name, None) = (names.next()?, names.next()) else { return None };
-    name.as_str().ok().map(Arc::from)
+    let common_name = name.as_str().ok()?.into();
+    let expires_at = Timestamp::from_second(certificate.validity().not_after.timestamp()).ok()?;
+    Some(ClientCertificate { common_name, expires_at })
 }
 
 /// Returns a name or address that a server's certificate is for (RFC 5280, 4.2.1.6).

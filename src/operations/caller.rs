@@ -75,9 +75,12 @@ pub struct CommandWait {
 }
 
 impl Caller {
-    /// Returns a caller without a lease or request id that waits for nothing.
+    /// Returns a caller without a lease or request id that waits for nothing. Its credential names the client, also if
+    /// another person has entered a PIN since the connection began.
     #[must_use]
     pub fn new(client: Client, identity: Result<Identity, Unauthorized>) -> Self {
+        let name = identity.as_ref().ok().and_then(|identity| identity.name.as_ref());
+        let client = name.map_or_else(|| client.clone(), |name| Client::new(name.to_string(), client.door));
         Self { client, identity, lease: Ok(None), request_id: Ok(None), presence: Presence::Seen, wait: Wait::No }
     }
 
@@ -196,6 +199,15 @@ mod tests {
         let stranger = Caller::new(Client::new("ws:10.0.0.5", Door::Ws), Err(Unauthorized::Missing));
         assert_eq!(label(stranger), ClientLabel::new("Anna"));
         assert_eq!(caller(None).labelled(Some("\u{202E}annA")).client.label, None);
+    }
+
+    #[test]
+    fn credential_names_the_client() {
+        let name = Some("anna".parse().unwrap());
+        let caller = Caller::new(Client::new("panel", Door::Ws), Ok(Identity { name, ..Identity::anyone() }));
+        assert_eq!((&*caller.client.subject, caller.client.door), ("anna", Door::Ws));
+        let unnamed = Caller::new(Client::new("ws:10.0.0.7", Door::Ws), Ok(Identity::anyone()));
+        assert_eq!(&*unnamed.client.subject, "ws:10.0.0.7");
     }
 
     #[test]

@@ -267,6 +267,8 @@ async fn page_of_a_listed_origin_can_use_the_api() {
     assert_eq!(headers["access-control-allow-origin"], "https://hmi.example");
     assert!(headers["access-control-allow-headers"].to_str().unwrap().contains("authorization"));
     assert!(!headers.contains_key("access-control-allow-credentials"));
+    let plain = client.request(Method::OPTIONS, &path).send().await.unwrap();
+    assert_eq!(plain.status(), 405, "OPTIONS has no other use");
     let answer =
         client.get(gateway.url("/api/v1/grippers")).header("Origin", "https://hmi.example").send().await.unwrap();
     assert_eq!(answer.headers()["access-control-allow-origin"], "https://hmi.example");

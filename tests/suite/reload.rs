@@ -90,6 +90,8 @@ async fn unusable_configuration_changes_nothing() {
     for (toml, expected) in [
         (format!("nonsense = 1\n{g}"), "nonsense"),
         (format!("name = \"other\"\n{g}"), "name cannot change while the gateway runs"),
+        (String::new(), "the grippers of the file to the default ones cannot change"),
+        (format!("{g}[access]\n"), "whether clients need credentials cannot change"),
         (format!("{g}{}", gripper("h", &format!("wsg_port = \"{port}\""))), "cannot listen on"),
         (format!("{g}{}[tls]\ncertificate = \"none.pem\"\nkey = \"none.pem\"", gripper("h", "")), "none.pem"),
     ] {
@@ -206,4 +208,42 @@ async fn two_hundred_reloads_disturb_no_client_of_an_unchanged_gripper() {
     let link = gateway.figures().await;
     assert!(link["wsg_reconnects_total{gripper=\"g\"}"] < 1.0, "the unchanged gripper keeps its link");
     assert!(memory[3] < memory[1] + 15.0, "resident memory grows: {memory:?} MB");
+}
+
+#[tokio::test]
+async fn client_that_is_no_longer_named_loses_its_rights() {
+    let toml = |clients: &str| {
+        let boss = "[[clients]]\nname = \"boss\"\naddress = \"127.0.0.9\"\nrole = \"supervisor\"\n";
+        format!("{boss}{clients}{}", gripper("g", "wsg_port = \"127.0.0.1:0\"\nwsg_port_allow = [\"127.0.0.77\"]"))
+    };
+    let plc = "[[clients]]\nname = \"plc\"\naddress = \"127.0.0.1\"\nrole = \"operator\"\n";
+    let one = Configured::start(&toml(plc)).await;
+    let address = one.gateway.word_after("WSG port of g: tcp://").await.parse().unwrap();
+    let mut driver = Driver::connect(address).await;
+    eventually("the link", async || (driver.run(0x20, &[0]).await == 0).then_some(())).await;
+    std::fs::write(&one.file, toml("")).unwrap();
+    one.gateway.hang_up();
+    one.gateway.until_logged("configuration reloaded").await;
+    assert_eq!(driver.status(0x20, &[0]).await, 16, "E_ACCESS_DENIED");
+    assert_eq!(driver.status(0x23, &[]).await, 0, "a FAST STOP needs no role");
+}
+
+#[tokio::test]
+async fn fast_stop_reaches_a_gripper_that_a_reload_drains() {
+    let toml =
+        |rest: &str| format!("drain_ms = 20000\n{}", gripper("g", &format!("wsg_port = \"127.0.0.1:0\"\n{rest}")));
+    let one = Configured::start(&toml("")).await;
+    let address = one.gateway.word_after("WSG port of g: tcp://").await.parse().unwrap();
+    one.gateway.until_link("connected").await;
+    one.gateway.post("home", &json!({})).await.outcome("SUCCESS");
+    let mut driver = Driver::connect(address).await;
+    let id = one.gateway.begin("move", &json!({"width_mm": 5, "speed_mm_s": 5})).await;
+    one.gateway.until_moving().await;
+    std::fs::write(&one.file, toml("update_period_ms = 20")).unwrap();
+    one.gateway.hang_up();
+    one.gateway.until_logged("draining").await;
+    assert_eq!(driver.status(0x23, &[]).await, 0);
+    let ended =
+        one.gateway.send(one.gateway.request("GET", &format!("/api/v1/grippers/g/commands/{id}?wait_ms=5000"))).await;
+    ended.outcome("ABORTED");
 }

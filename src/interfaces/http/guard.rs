@@ -1,6 +1,7 @@
 //! Checks of Host and Origin, which protect a gateway without authentication: web pages of other origins and
 //! foreign DNS names that point here are refused. Also adds the security headers of every response.
 
+use std::convert::Infallible;
 use std::net::{Ipv4Addr, Ipv6Addr};
 use std::sync::Arc;
 
@@ -13,12 +14,13 @@ use axum::http::{HeaderMap, Method as Verb, Version};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use jiff::fmt::rfc2822::DateTimePrinter;
+use tower::{Layer as _, ServiceExt as _, service_fn};
 use tower_http::cors::{AllowHeaders, AllowOrigin, CorsLayer};
 
 use super::body;
 use super::context::HttpContext;
 use super::operation::Compact;
-use super::settings::{HttpSettings, SharedSettings};
+use super::settings::HttpSettings;
 use crate::gripper::Now;
 use crate::operations::{Code, Problem};
 
@@ -39,15 +41,22 @@ pub async fn refuse_foreigners(State(context): State<Arc<HttpContext>>, mut requ
     }
 }
 
-/// Returns the layer that lets the pages of some foreign origins use the API (CORS). They cannot send cookies.
-pub fn foreign_pages(settings: SharedSettings) -> CorsLayer {
-    let allows = move |origin: &HeaderValue, _: &_| settings.get().allows_origin(origin);
-    CorsLayer::new()
-        .allow_origin(AllowOrigin::predicate(allows))
+/// Middleware that lets the pages of the listed origins use the API (CORS). Other requests pass unchanged.
+pub async fn admit_foreign_pages(State(context): State<Arc<HttpContext>>, request: Request, next: Next) -> Response {
+    let settings = context.settings.get();
+    let origin = request.headers().get(ORIGIN).filter(|origin| settings.allows_origin(origin)).cloned();
+    let Some(origin) = origin else { return next.run(request).await };
+    let cors = CorsLayer::new()
+        .allow_origin(AllowOrigin::exact(origin))
         .allow_methods([Verb::GET, Verb::POST, Verb::PUT, Verb::DELETE])
         .allow_headers(AllowHeaders::mirror_request())
         // No response is cached.
-        .vary([])
+        .vary([]);
+    let served = cors.layer(service_fn(|request| {
+        let next = next.clone();
+        async move { Ok::<_, Infallible>(next.run(request).await) }
+    }));
+    served.oneshot(request).await.unwrap_or_else(|error| match error {})
 }
 
 fn check(request: &Request, settings: &HttpSettings) -> Result<(), Problem> {
@@ -77,7 +86,7 @@ fn authority(request: &Request) -> Result<Option<String>, Problem> {
     let header = match all_of(request.headers(), &HOST)[..] {
         [] => None,
         // A client whose target has no authority sends an empty one (RFC 9112, 3.2); no browser does.
-        [host] if host.is_empty() => return Ok(None),
+        [host] if host.is_empty() && request.uri().authority().is_none() => return Ok(None),
         [host] => Some(lower(host).map_err(|_| malformed("the Host header is not valid text"))?),
         _ => return Err(malformed("there is more than one Host header")),
     };

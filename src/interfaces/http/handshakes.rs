@@ -1,12 +1,13 @@
 //! Turns of TLS handshakes, so that a flood of them from one address leaves processor time for others.
 //!
-//! A handshake takes as much processor time as many requests. Few handshakes of one address run at the same time; of
-//! those that wait, the newest is next, since under a flood the oldest have probably been given up.
+//! A handshake takes as much processor time as many requests. Few handshakes of one address run at the same time. Of those
+//! that wait, a random one is next: with the oldest or the newest first, a flood could keep out a certain one.
 
 use std::collections::HashMap;
-use std::net::{IpAddr, Ipv6Addr};
+use std::net::IpAddr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use rand::RngExt as _;
 use tokio::sync::oneshot;
 
 /// Handshakes of one address that run at the same time.
@@ -18,7 +19,7 @@ pub(super) struct Handshakes(Arc<Mutex<HashMap<IpAddr, Peer>>>);
 #[derive(Debug, Default)]
 struct Peer {
     running: usize,
-    /// The oldest first. The admission of connections bounds their number.
+    /// The admission of connections bounds their number.
     waiting: Vec<oneshot::Sender<Turn>>,
 }
 
@@ -32,7 +33,7 @@ pub(super) struct Turn {
 impl Handshakes {
     /// Waits for the turn of a handshake.
     pub(super) async fn turn(&self, peer: IpAddr) -> Turn {
-        let peer = network(peer);
+        let peer = peer.to_canonical();
         let waiting = {
             let mut peers = self.peers();
             let known = peers.entry(peer).or_default();
@@ -63,7 +64,8 @@ impl Drop for Turn {
             let mut peers = self.handshakes.peers();
             let Some(known) = peers.get_mut(&self.peer) else { return };
             known.waiting.retain(|turn| !turn.is_closed());
-            let next = known.waiting.pop();
+            let next = (!known.waiting.is_empty())
+                .then(|| known.waiting.swap_remove(rand::rng().random_range(0..known.waiting.len())));
             if next.is_none() {
                 known.running -= 1;
                 if known.running == 0 {
@@ -79,14 +81,6 @@ impl Drop for Turn {
     }
 }
 
-/// Returns the address that stands for a client: one client can have all IPv6 addresses of a network.
-fn network(peer: IpAddr) -> IpAddr {
-    match peer.to_canonical() {
-        IpAddr::V4(peer) => peer.into(),
-        IpAddr::V6(peer) => Ipv6Addr::from_bits(peer.to_bits() & (u128::MAX << 64)).into(),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use futures_util::FutureExt as _;
@@ -94,7 +88,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn newest_waiting_handshake_is_next() {
+    async fn waiting_handshakes_get_every_turn_that_ends() {
         let (handshakes, flood) = (Handshakes::default(), IpAddr::from([127, 0, 0, 2]));
         let mut running = Vec::new();
         for _ in 0..AT_ONCE {
@@ -103,21 +97,12 @@ mod tests {
         let mut waiting: Vec<_> = (0..3).map(|_| Box::pin(handshakes.turn(flood))).collect();
         assert!(waiting.iter_mut().all(|turn| turn.as_mut().now_or_never().is_none()));
         assert!(handshakes.turn([127, 0, 0, 1].into()).now_or_never().is_some(), "another address does not wait");
-        // The newest has given up.
+        // One of those that wait has given up.
         drop(waiting.pop());
         running.pop();
-        assert!(waiting[0].as_mut().now_or_never().is_none());
-        let turn = waiting[1].as_mut().now_or_never();
-        assert!(turn.is_some());
-        drop((turn, running, waiting));
+        let got: Vec<_> = waiting.iter_mut().filter_map(|turn| turn.as_mut().now_or_never()).collect();
+        assert_eq!(got.len(), 1);
+        drop((got, running, waiting));
         assert!(handshakes.peers().is_empty());
-    }
-
-    #[test]
-    fn ipv6_network_is_one_client() {
-        let [one, other] = ["2001:db8::1", "2001:db8::2:1:0:0:1"].map(|text| network(text.parse().unwrap()));
-        assert_eq!(one, network("2001:db8::ffff".parse().unwrap()));
-        assert_ne!(one, other);
-        assert_eq!(network("::ffff:10.0.0.7".parse().unwrap()), IpAddr::from([10, 0, 0, 7]));
     }
 }

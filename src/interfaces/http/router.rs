@@ -28,7 +28,7 @@ use crate::operations::{Code, Problem};
 pub fn router(context: &Arc<HttpContext>) -> Router {
     served()
         .layer(middleware::from_fn_with_state(context.clone(), rights::check))
-        .layer(guard::foreign_pages(context.settings.clone()))
+        .layer(middleware::from_fn_with_state(context.clone(), guard::admit_foreign_pages))
         .layer(middleware::from_fn_with_state(context.clone(), guard::refuse_foreigners))
         .layer(middleware::from_fn_with_state(context.clone(), audit::record))
         .layer(middleware::map_response(guard::harden))

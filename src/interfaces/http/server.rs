@@ -16,7 +16,7 @@ use std::time::Duration;
 
 use axum::Router;
 use axum::body::Body;
-use axum::http::header::STRICT_TRANSPORT_SECURITY;
+use axum::http::header::{ORIGIN, STRICT_TRANSPORT_SECURITY};
 use axum::http::{HeaderName, HeaderValue, Request, StatusCode};
 use axum::response::Response;
 use bytes::BytesMut;
@@ -32,6 +32,8 @@ use tokio::net::{TcpListener, TcpSocket, TcpStream};
 use tokio::runtime::Handle;
 use tokio::sync::{OwnedSemaphorePermit, watch};
 use tokio::time::{Instant, sleep, timeout};
+use tokio_rustls::LazyConfigAcceptor;
+use tokio_rustls::rustls::server::Acceptor;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::AbortOnDropHandle;
 use tower::ServiceExt;
@@ -45,14 +47,14 @@ use super::redirect;
 use super::router::router;
 use super::settings::HttpSettings;
 use super::visitor::{Identified, cookie_name};
-use crate::access::ClientOrigin;
+use crate::access::{ClientCertificate, ClientOrigin};
 use crate::interfaces::admission::{Admission, Bounds, ConnectionPermit, Usage};
 use crate::interfaces::client_stream::{ClientStream, EncryptedStream};
 use crate::interfaces::metrics::Connected;
 use crate::interfaces::pace::RequestPace;
 use crate::interfaces::quick_ack::QuickAckStream;
 use crate::interfaces::sockets;
-use crate::interfaces::tls::common_name;
+use crate::interfaces::tls::holder;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ServerLimits {
@@ -101,7 +103,7 @@ const FIRST_LINE_WITHIN: Duration = Duration::from_millis(20);
 const HANDSHAKE_IN_CROWD: Duration = Duration::from_millis(500);
 
 /// Time after which a handshake's turn ends although it continues: a client that has gone silent needs no processor.
-const HANDSHAKE_TURN: Duration = Duration::from_millis(20);
+const HANDSHAKE_TURN: Duration = Duration::from_millis(5);
 
 /// First byte of a connection that speaks TLS (RFC 8446, 5.1).
 const TLS_HANDSHAKE: u8 = 22;
@@ -299,10 +301,13 @@ impl Server {
             let _ = AbortOnDropHandle::new(self.context.runtimes.requests.spawn(answered)).await;
             return None;
         }
+        // The first message of a client costs little, so a client that sends none takes no turn.
+        let hello = LazyConfigAcceptor::new(Acceptor::default(), QuickAckStream::new(stream)).await;
+        let hello = hello.inspect_err(|error| tracing::debug!(%peer, %error, "no TLS connection")).ok()?;
         let turn = self.handshakes.turn(peer.ip()).await;
-        let (acceptor, stream) = (settings.tls.as_ref()?.acceptor(), QuickAckStream::new(stream));
+        let tls = settings.tls.as_ref()?.config();
         let handshake = async move {
-            let mut stream = acceptor.accept(stream).await?;
+            let mut stream = hello.into_stream(tls).await?;
             let mut first = BytesMut::with_capacity(FIRST_BYTES);
             while !first.contains(&b'\n') && first.len() < FIRST_BYTES {
                 if stream.read_buf(&mut first).await? == 0 {
@@ -321,7 +326,7 @@ impl Server {
         };
         let (first, stream) =
             handshake.ok()?.inspect_err(|error| tracing::debug!(%peer, %error, "no TLS connection")).ok()?;
-        let certificate = stream.get_ref().1.peer_certificates().and_then(|chain| common_name(chain.first()?));
+        let certificate = stream.get_ref().1.peer_certificates().and_then(|chain| holder(chain.first()?));
         let is_fast_stop = may_be_fast_stop(&first);
         let stream = ClientStream::Right(Box::new(EncryptedStream::new(first, stream)));
         Some(Begun { stream, certificate, is_fast_stop })
@@ -359,8 +364,7 @@ impl Server {
 /// A connection whose first line has been inspected.
 struct Begun {
     stream: ClientStream,
-    /// Common name of the client's certificate.
-    certificate: Option<Arc<str>>,
+    certificate: Option<ClientCertificate>,
     /// Whether the connection begins with a FAST STOP.
     is_fast_stop: bool,
 }
@@ -439,7 +443,9 @@ impl Service<Request<Incoming>> for Requests {
             self.permit.receiving();
         }
         let (settings, access) = (self.server.context.settings.get(), &self.server.context.gateway.access);
-        let cookie = cookie_name(settings.tls.is_some());
+        // Pages of other origins have no session here.
+        let is_foreign = request.headers().get_all(ORIGIN).iter().any(|origin| settings.allows_origin(origin));
+        let cookie = (!is_foreign).then(|| cookie_name(settings.tls.is_some()));
         let identified = Identified::of(access, request.headers(), self.origin.clone(), cookie);
         let extensions = request.extensions_mut();
         extensions.insert(identified);

@@ -7,6 +7,7 @@ use axum::extract::{Request, State as Shared};
 use axum::http::StatusCode;
 use axum::http::header::{HeaderValue, SET_COOKIE};
 use axum::response::{IntoResponse, Response};
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -49,7 +50,7 @@ pub struct SignedIn {
     responses((status = 200, description = "The session has begun", body = SignedIn), SessionProblem)
 )]
 pub async fn sign_in(Shared(context): Shared<Arc<HttpContext>>, request: Request) -> Result<Response, Problem> {
-    let SignIn { token } = parse(&body::bytes(request.into_body()).await?)?;
+    let SignIn { token } = secret(&body::bytes(request.into_body()).await?)?;
     let token: TokenSecret = token.parse().map_err(|_| Unauthorized::Unknown)?;
     let Some((id, Identity { name, role, .. })) = context.gateway.access.sign_in(&token)? else {
         return Err(Problem::new(
@@ -88,14 +89,14 @@ pub struct EnterPin {
 /// Enter a PIN
 ///
 /// Adds a person's rights to the browser's session, until `DELETE` or until they are unused for a while. After five
-/// wrong PINs, the sessions of one token have to wait for a minute.
+/// wrong PINs, the sessions of one token have to wait for five minutes.
 #[utoipa::path(
     post, path = "/session/pin", operation_id = "enter_pin", tag = "gateway", request_body = EnterPin,
     responses((status = 200, description = "The person's rights are added", body = SignedIn), SessionProblem)
 )]
 pub async fn enter_pin(Shared(context): Shared<Arc<HttpContext>>, request: Request) -> Result<Json<SignedIn>, Problem> {
     let id = open_session(&context, &request).ok_or(Unauthorized::SessionEnded)?;
-    let EnterPin { pin } = parse(&body::bytes(request.into_body()).await?)?;
+    let EnterPin { pin } = secret(&body::bytes(request.into_body()).await?)?;
     let pin = pin.parse().map_err(|_| Unauthorized::WrongPin)?;
     let Identity { name, role, .. } = context.gateway.access.enter_pin(&id, &pin)?;
     Ok(Json(SignedIn { name: name.map(|name| name.to_string()).unwrap_or_default(), role }))
@@ -113,6 +114,11 @@ pub async fn forget_pin(Shared(context): Shared<Arc<HttpContext>>, request: Requ
         context.gateway.access.forget_pin(&id);
     }
     StatusCode::NO_CONTENT
+}
+
+/// Parses a body with a secret, which no problem repeats.
+fn secret<T: DeserializeOwned>(text: &[u8]) -> Result<T, Problem> {
+    parse(text).map_err(|_| Problem::malformed("body", "the body must be an object with the one field of this request"))
 }
 
 /// Returns the session that a request names.

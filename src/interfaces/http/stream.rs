@@ -169,7 +169,7 @@ impl Stream {
                 () = self.closing.cancelled() => return None,
                 _ = self.checks.tick() => {
                     let (access, visitor) = &self.client;
-                    if !visitor.is_known(access) {
+                    if !visitor.may_read(access) {
                         return None;
                     }
                 }

@@ -25,7 +25,7 @@ pub struct Identified {
 }
 
 impl Identified {
-    pub fn of(access: &Access, headers: &HeaderMap, origin: ClientOrigin, cookie: &str) -> Self {
+    pub fn of(access: &Access, headers: &HeaderMap, origin: ClientOrigin, cookie: Option<&str>) -> Self {
         let visitor = Visitor { credential: credential(headers, cookie), origin };
         let identity = visitor.identity(access);
         Self { visitor, identity }
@@ -59,10 +59,10 @@ pub fn client(extensions: &Extensions) -> Client {
 }
 
 /// Returns what a request presents. A token precedes a session, since only programs send tokens.
-fn credential(headers: &HeaderMap, cookie: &str) -> Credential {
+fn credential(headers: &HeaderMap, cookie: Option<&str>) -> Credential {
     let mut tokens = headers.get_all(AUTHORIZATION).iter();
     match (tokens.next(), tokens.next()) {
-        (None, _) => session(headers, cookie).map_or(Credential::None, Credential::Session),
+        (None, _) => cookie.and_then(|cookie| session(headers, cookie)).map_or(Credential::None, Credential::Session),
         (Some(token), None) => bearer(token).map_or(Credential::Malformed, Credential::Token),
         (Some(_), Some(_)) => Credential::Malformed,
     }
@@ -92,7 +92,7 @@ mod tests {
     #[test]
     fn client_is_known_by_its_address() {
         let peer: std::net::IpAddr = "::ffff:10.0.0.7".parse().unwrap();
-        let identified = Identified::of(&Access::default(), &HeaderMap::new(), peer.into(), SESSION_COOKIE);
+        let identified = Identified::of(&Access::default(), &HeaderMap::new(), peer.into(), Some(SESSION_COOKIE));
         assert_eq!(&*identified.client(Door::Http).subject, "http:10.0.0.7");
     }
 
@@ -102,29 +102,29 @@ mod tests {
         let [upper, lower] = ["Bearer", "bearer"].map(|scheme| format!("{scheme} {}", token.expose()));
         for value in [&upper, &lower] {
             assert_eq!(
-                credential(&headers("authorization", &[value]), SESSION_COOKIE),
+                credential(&headers("authorization", &[value]), Some(SESSION_COOKIE)),
                 Credential::Token(token.clone())
             );
         }
         for values in [&["Basic YTpi"][..], &["Bearer"], &["Bearer x"], &[token.expose()], &[&upper, &upper]] {
             assert_eq!(
-                credential(&headers("authorization", values), SESSION_COOKIE),
+                credential(&headers("authorization", values), Some(SESSION_COOKIE)),
                 Credential::Malformed,
                 "{values:?}"
             );
         }
-        assert_eq!(credential(&HeaderMap::new(), SESSION_COOKIE), Credential::None);
+        assert_eq!(credential(&HeaderMap::new(), Some(SESSION_COOKIE)), Credential::None);
     }
 
     #[test]
     fn session_is_one_of_the_cookies() {
         let id = "x".repeat(43);
-        let found = credential(&headers("cookie", &[&format!("a=b; wsg_session={id}"), "c=d"]), SESSION_COOKIE);
+        let found = credential(&headers("cookie", &[&format!("a=b; wsg_session={id}"), "c=d"]), Some(SESSION_COOKIE));
         assert_eq!(found, Credential::Session(SessionId::parse(&id).unwrap()));
-        let planted = credential(&headers("cookie", &[&format!("wsg_session={id}")]), cookie_name(true));
+        let planted = credential(&headers("cookie", &[&format!("wsg_session={id}")]), Some(cookie_name(true)));
         assert_eq!(planted, Credential::None, "set without TLS");
         assert_eq!(
-            credential(&headers("cookie", &["wsg_session=short", "xwsg_session=y"]), SESSION_COOKIE),
+            credential(&headers("cookie", &["wsg_session=short", "xwsg_session=y"]), Some(SESSION_COOKIE)),
             Credential::None
         );
     }

@@ -78,6 +78,8 @@ pub struct Connection {
 pub struct Socket {
     client: Client,
     visitor: Visitor,
+    /// Whether the client has ever subscribed to updates.
+    is_subscribed: bool,
     context: Context,
     permit: Option<Arc<ConnectionPermit>>,
     outbox: Arc<Outbox>,
@@ -185,6 +187,7 @@ impl Socket {
         Ok(Self {
             client,
             visitor,
+            is_subscribed: false,
             held: held(),
             permit,
             outbox,
@@ -272,7 +275,8 @@ impl Socket {
                     if self.unanswered >= MAX_UNANSWERED {
                         return End::Lost;
                     }
-                    if !self.visitor.is_known(&self.context.gateway.access) {
+                    let access = &self.context.gateway.access;
+                    if !self.visitor.is_known(access) || (self.is_subscribed && !self.visitor.may_read(access)) {
                         return End::Violation(CloseCode::Policy, "the client's credential is no longer valid");
                     }
                     self.unanswered += 1;
@@ -419,6 +423,7 @@ impl Socket {
             self.leases.insert(lease.gripper().clone(), (lease, pin));
         }
         if let Some(following) = done.following {
+            self.is_subscribed = true;
             self.outbox.follow(following);
         }
     }
