@@ -28,7 +28,7 @@ const ROOMS: &str = "
     config: access gripper/model journal transport webhooks
     logging:
     operations: access alarms events fleet gripper gripper/model gripper/recorder journal trends webhooks wsg
-    interfaces: operations
+    interfaces: access operations
     interfaces/dashboard: operations
     interfaces/http: access alarms interfaces interfaces/dashboard interfaces/websocket events fleet operations
         gripper gripper/model journal trends
