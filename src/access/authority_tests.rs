@@ -56,8 +56,8 @@ fn expired_token_is_refused() {
     assert_eq!(tried.access.identify(&token, &ClientOrigin::default()), Err(Unauthorized::Expired));
 }
 
-fn holder(name: &str, seconds: i64) -> Option<ClientCertificate> {
-    Some(ClientCertificate { common_name: name.into(), expires_at: Timestamp::now() + seconds.seconds() })
+fn holder(name: &str, seconds: i64) -> ClientCertificate {
+    ClientCertificate { common_name: name.into(), expires_at: Timestamp::now() + seconds.seconds() }
 }
 
 #[test]
@@ -72,12 +72,12 @@ fn address_identifies_a_client_without_a_credential_only() {
     assert_eq!(tried.access.identify(&Credential::Malformed, peer), Err(Unauthorized::Malformed));
     assert_eq!(tried.access.identify(&Credential::None, &at("192.168.1.11")), Err(Unauthorized::Missing));
     // A certificate decides before the address.
-    let mes = ClientOrigin { certificate: holder("mes", 60), ..peer.clone() };
+    let mes = ClientOrigin { certificate: Some(holder("mes", 60)), ..peer.clone() };
     let mes = tried.access.identify(&Credential::None, &mes).unwrap();
     assert_eq!((mes.role, mes.proof), (Role::Observer, Proof::Certificate));
-    let expired = ClientOrigin { certificate: holder("mes", -1), address: None };
+    let expired = ClientOrigin { certificate: Some(holder("mes", -1)), address: None };
     assert_eq!(tried.access.identify(&Credential::None, &expired), Err(Unauthorized::Missing));
-    let unknown = ClientOrigin { certificate: holder("plc", 60), address: None };
+    let unknown = ClientOrigin { certificate: Some(holder("plc", 60)), address: None };
     assert_eq!(tried.access.identify(&Credential::None, &unknown), Err(Unauthorized::Missing));
 }
 

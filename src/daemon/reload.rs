@@ -19,7 +19,7 @@ use crate::gripper::model::{Client, Detail, Event, GatewayEvent, Name};
 use crate::gripper::recorder::{Record, Recorder as _};
 use crate::interfaces::http::{self, HttpSettings, SharedSettings};
 use crate::journal::{Journal, Recovered};
-use crate::operations::reload::ReloadRequest;
+use crate::operations::ReloadRequest;
 
 /// The parts of the gateway that a reload changes.
 pub(super) struct Reloader {

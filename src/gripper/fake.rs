@@ -159,9 +159,6 @@ impl Actor {
                 let detail = "missing".to_owned();
                 let _ = answer.send(Err(Invalid::Malformed { field: "fast_stop_id", detail }.into()));
             }
-            ActorRequest::Reconfigure { answer, .. } => {
-                let _ = answer.send(());
-            }
             ActorRequest::Lease { answer } => {
                 let _ = answer.send(self.lease.view(clock::instant(), None));
             }
@@ -187,7 +184,7 @@ impl Actor {
             ActorRequest::LoseLease { token, times_taken } => {
                 self.lease.lose(&token, times_taken);
             }
-            ActorRequest::Drain { answer } => {
+            ActorRequest::Drain { answer } | ActorRequest::Reconfigure { answer, .. } => {
                 let _ = answer.send(());
             }
         }

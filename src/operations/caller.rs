@@ -80,7 +80,10 @@ impl Caller {
     #[must_use]
     pub fn new(client: Client, identity: Result<Identity, Unauthorized>) -> Self {
         let name = identity.as_ref().ok().and_then(|identity| identity.name.as_ref());
-        let client = name.map_or_else(|| client.clone(), |name| Client::new(name.to_string(), client.door));
+        let client = match name {
+            Some(name) => Client::new(name.to_string(), client.door),
+            None => client,
+        };
         Self { client, identity, lease: Ok(None), request_id: Ok(None), presence: Presence::Seen, wait: Wait::No }
     }
 

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::audit::Audit;
-use super::reload::Reloads;
+use super::reload_requests::Reloads;
 use crate::access::Access;
 use crate::alarms::Alarms;
 use crate::events::LiveUpdates;

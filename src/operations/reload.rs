@@ -2,33 +2,19 @@
 
 use http::Method as Verb;
 use serde::Serialize;
-use tokio::sync::{mpsc, oneshot};
+use tokio::sync::oneshot;
 use utoipa::ToSchema;
 
 use super::call::{Call, NoFields};
 use super::operation::{Operation, reply};
 use super::problem::Problem;
+use super::reload_requests::ReloadRequest;
 use super::reply::Json;
 use crate::access::Right;
-use crate::gripper::model::{Client, Code};
+use crate::gripper::model::Code;
 
 pub const RELOAD: Operation =
     Operation::change("reload", &Verb::POST, "/reload", |call| reply(reload(call))).needs(Right::Supervise);
-
-/// Reloads that can wait.
-const MAX_WAITING: usize = 4;
-
-/// Sends requests to reload to the daemon.
-#[derive(Debug, Clone)]
-pub struct Reloads(mpsc::Sender<ReloadRequest>);
-
-/// A request to reload.
-#[derive(Debug)]
-pub struct ReloadRequest {
-    pub client: Client,
-    /// Channel for the changes, or for the reason why nothing has changed.
-    pub answer: oneshot::Sender<Result<Vec<String>, String>>,
-}
 
 /// Result of a reload.
 #[derive(Debug, Serialize, ToSchema)]
@@ -38,21 +24,12 @@ pub struct Reloaded {
     changes: Vec<String>,
 }
 
-impl Reloads {
-    /// Returns a sender, and the receiver for the daemon.
-    #[must_use]
-    pub fn channel() -> (Self, mpsc::Receiver<ReloadRequest>) {
-        let (sender, requests) = mpsc::channel(MAX_WAITING);
-        (Self(sender), requests)
-    }
-}
-
 async fn reload(call: Call) -> Result<Json<Reloaded>, Problem> {
     let NoFields {} = call.fields()?;
     let (answer, answered) = oneshot::channel();
     let request = ReloadRequest { client: call.caller.client.clone(), answer };
-    let full = |_| Problem::new(Code::Overloaded, "too many reloads are waiting: try again later");
-    call.gateway.reloads.0.try_send(request).map_err(full)?;
+    let full = |_: ReloadRequest| Problem::new(Code::Overloaded, "too many reloads are waiting: try again later");
+    call.gateway.reloads.request(request).map_err(full)?;
     let ended = |_| Problem::new(Code::Overloaded, "the gateway is shutting down, so it does not reload");
     let changes = answered.await.map_err(ended)?;
     let changes = changes.map_err(|cause| Problem::new(Code::InvalidConfiguration, cause))?;

@@ -204,7 +204,12 @@ async fn two_hundred_reloads_disturb_no_client_of_an_unchanged_gripper() {
         is_over.store(true, Ordering::Relaxed);
         memory
     };
-    let (moved, memory) = tokio::join!(moving, reloading);
+    let reading = async {
+        while !is_over.load(Ordering::Relaxed) {
+            socket.next().await.expect("the WebSocket stays open");
+        }
+    };
+    let (moved, memory, ()) = tokio::join!(moving, reloading, reading);
     println!("{moved} motions during 200 reloads; resident MB after each 50: {memory:.1?}");
     assert!(moved > 2);
     assert_eq!(socket.call("state", json!({"gripper": "g"})).await["link"], "connected", "the WebSocket is still open");
