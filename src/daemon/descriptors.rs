@@ -14,9 +14,6 @@ const OWN: usize = 34;
 /// A gripper's link, and the link that replaces it. A simulated gripper has none.
 const OF_A_LINK: usize = 2;
 
-/// The socket of a WSG port, kept for a reload.
-const OF_A_PORT: usize = 1;
-
 /// Zenoh's runtimes and its listener.
 const OF_ZENOH: usize = 13;
 
@@ -95,11 +92,11 @@ impl Shares {
 
 /// Returns the descriptors that the gateway itself needs, and the number of WSG ports with TCP clients.
 fn needs(config: &Config) -> (usize, usize) {
-    let addresses = || config.grippers.iter().flat_map(|gripper| &gripper.wsg_port.addresses);
-    let ports = addresses().filter(|(address, _)| matches!(address, WsgAddress::Tcp(_))).count();
+    let addresses = config.grippers.iter().flat_map(|gripper| &gripper.wsg_port.addresses);
+    let ports = addresses.filter(|(address, _)| matches!(address, WsgAddress::Tcp(_))).count();
     let zenoh = if config.zenoh.is_some() { OF_ZENOH } else { 0 };
     let links = config.grippers.iter().filter(|gripper| matches!(gripper.device, DeviceSource::At(_))).count();
-    (OWN + OF_A_LINK * links + OF_A_PORT * addresses().count() + zenoh, ports)
+    (OWN + OF_A_LINK * links + zenoh, ports)
 }
 
 #[cfg(test)]
@@ -143,7 +140,7 @@ mod tests {
         let config = config(&["g=tcp://127.0.0.1:1000"], &["g=127.0.0.1:0"]);
         for limit in [64, 128, 600, 1024, 20_000] {
             let shares = Shares::of(&config, limit).unwrap();
-            assert!(OWN + OF_A_LINK + OF_A_PORT + OF_ZENOH + shares.http + shares.wsg_port <= limit, "{shares:?}");
+            assert!(OWN + OF_A_LINK + OF_ZENOH + shares.http + shares.wsg_port <= limit, "{shares:?}");
             assert!(shares.wsg_port >= wsg_port::MIN_DESCRIPTORS && shares.http >= Bounds::MIN_DESCRIPTORS);
         }
     }

@@ -111,13 +111,12 @@ impl RunningGrippers {
             changing.push(async move { handle.reconfigure(Reconfiguration { config, connector }).await });
         }
         futures_util::future::join_all(changing).await;
-        for gripper in config.grippers.iter().filter(|gripper| changes.added.contains(&gripper.name)) {
-            let connector = match changes.connectors.remove(&gripper.name) {
-                Some(connector) => connector,
-                None => connector(gripper)?,
-            };
-            let handle = self.spawn(config, gripper, connector, recovered)?;
-            self.grippers.change([handle], &[]);
+        // The other new devices are in use.
+        for gripper in &config.grippers {
+            if let Some(connector) = changes.connectors.remove(&gripper.name) {
+                let handle = self.spawn(config, gripper, connector, recovered)?;
+                self.grippers.change([handle], &[]);
+            }
         }
         Ok(())
     }

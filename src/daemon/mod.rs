@@ -249,7 +249,7 @@ async fn start(
         listener,
         accept: clients.accept.clone(),
         grippers: running,
-        ports: Ports::serve(ports, grippers.clone(), port_context)?,
+        ports: Ports::serve(ports, grippers.clone(), port_context),
     };
     let stopping = CancellationToken::new();
     let reloading = tokio::spawn(reloader.run(reload_requests, hang_up, stopping.clone()));

@@ -36,11 +36,10 @@ struct ConfiguredPort {
 struct ServedPort {
     configured: ConfiguredPort,
     descriptors: usize,
-    /// The same socket, for a port with other rules.
-    listener: Listener,
-    /// Ends the port: no more clients, and the end of those that it has.
-    ends: [CancellationToken; 2],
-    task: JoinHandle<std::io::Result<()>>,
+    draining: CancellationToken,
+    closing: CancellationToken,
+    /// Returns the socket, for a port with other rules.
+    task: JoinHandle<std::io::Result<Option<Listener>>>,
 }
 
 /// All served ports.
@@ -113,26 +112,21 @@ impl BoundPort {
 }
 
 impl Ports {
-    pub(super) fn serve(ports: Vec<BoundPort>, grippers: Grippers, context: PortContext) -> std::io::Result<Self> {
+    pub(super) fn serve(ports: Vec<BoundPort>, grippers: Grippers, context: PortContext) -> Self {
         let mut this = Self { served: Vec::new(), grippers, context };
-        for port in ports {
-            this.start(port)?;
-        }
-        Ok(this)
+        ports.into_iter().for_each(|port| this.start(port));
+        this
     }
 
-    fn start(&mut self, BoundPort { listener, configured, descriptors, .. }: BoundPort) -> std::io::Result<()> {
-        let Some(handle) = self.grippers.get(&configured.gripper) else { return Ok(()) };
+    fn start(&mut self, BoundPort { listener, configured, descriptors, .. }: BoundPort) {
+        let Some(handle) = self.grippers.get(&configured.gripper) else { return };
         let PortContext { devices, audit, access, metrics, draining, closing } = &self.context;
         metrics.serves(configured.gripper.as_str());
         let parts = (audit.clone(), access.clone(), metrics.clone());
         let port = Port::new(handle, configured.rules.clone(), descriptors, parts);
-        let (kept, ends) =
-            (listener.again(configured.address)?, [draining, closing].map(CancellationToken::child_token));
-        let [draining, closing] = ends.clone();
-        let task = devices.spawn(wsg_port::serve(port, listener, draining, closing));
-        self.served.push(ServedPort { configured, descriptors, listener: kept, ends, task });
-        Ok(())
+        let (draining, closing) = (draining.child_token(), closing.child_token());
+        let task = devices.spawn(wsg_port::serve(port, listener, draining.clone(), closing.clone()));
+        self.served.push(ServedPort { configured, descriptors, draining, closing, task });
     }
 
     /// Binds the ports of a configuration that are not served yet.
@@ -156,14 +150,20 @@ impl Ports {
         let (kept, ended): (Vec<_>, Vec<_>) = std::mem::take(&mut self.served).into_iter().partition(is_kept);
         self.served = kept;
         let mut free = Vec::new();
-        for ServedPort { configured, descriptors, listener, ends, task } in ended {
-            ends.iter().for_each(CancellationToken::cancel);
-            if let Ok(Err(error)) = task.await {
-                tracing::warn!(%error, "WSG port ended with an error");
-            }
+        for ServedPort { configured, descriptors, draining, closing, task } in ended {
+            // In this order, the port returns its socket.
+            closing.cancel();
+            draining.cancel();
+            let listener = match task.await.map_err(std::io::Error::other).flatten() {
+                Ok(listener) => listener,
+                Err(error) => {
+                    tracing::error!(gripper = %configured.gripper, %error, "WSG port failed");
+                    continue;
+                }
+            };
             let next = changes.configured.iter().find(|port| port.is_same_socket(&configured));
-            free.extend(next.cloned().map(|configured| {
-                let gripper = configured.gripper.clone();
+            free.extend(listener.zip(next.cloned()).map(|(listener, configured)| {
+                let (gripper, listener) = (configured.gripper.clone(), listener.with_settings_of(configured.address));
                 BoundPort { gripper, listener, configured, descriptors }
             }));
         }
@@ -173,20 +173,13 @@ impl Ports {
     /// Serves the new ports, and those that have other rules now.
     pub(super) fn start_changed(&mut self, free: Vec<BoundPort>, changes: PortChanges) {
         for port in free.into_iter().chain(changes.bound) {
-            let gripper = port.gripper.clone();
-            if let Err(error) = self.start(port) {
-                tracing::error!(%gripper, %error, "WSG port not served");
-            }
+            self.start(port);
         }
     }
 
     /// Stops listening, and waits for the end of all clients.
     pub(super) async fn ended(self) -> std::io::Result<()> {
-        let tasks = self.served.into_iter().map(|ServedPort { listener, task, .. }| {
-            drop(listener);
-            task
-        });
-        for ended in futures_util::future::join_all(tasks).await {
+        for ended in futures_util::future::join_all(self.served.into_iter().map(|port| port.task)).await {
             ended.map_err(std::io::Error::other)??;
         }
         Ok(())

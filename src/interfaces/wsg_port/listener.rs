@@ -68,12 +68,12 @@ impl Listener {
     }
 
     /// Returns the same socket, to be served with the settings of this address.
-    pub fn again(&self, address: ListenAddress) -> io::Result<Self> {
-        Ok(match (self, address) {
-            (Self::Tcp(listener), _) => Self::Tcp(listener.try_clone()?),
-            (Self::Udp(socket, _), ListenAddress::Udp(_, datagrams)) => Self::Udp(socket.try_clone()?, datagrams),
-            (Self::Udp(socket, datagrams), ListenAddress::Tcp(_)) => Self::Udp(socket.try_clone()?, *datagrams),
-        })
+    #[must_use]
+    pub fn with_settings_of(self, address: ListenAddress) -> Self {
+        match (self, address) {
+            (Self::Udp(socket, _), ListenAddress::Udp(_, datagrams)) => Self::Udp(socket, datagrams),
+            (same, _) => same,
+        }
     }
 
     pub fn url(&self) -> io::Result<String> {
@@ -84,22 +84,24 @@ impl Listener {
     }
 }
 
-/// Serves clients: accepts new ones until `draining`, and serves all until `closing`.
+/// Serves clients: accepts new ones until `draining`, and serves all until `closing`. Returns the listener if
+/// `closing` was cancelled first. Otherwise a TCP port refuses new clients while it serves the last ones.
 pub async fn serve(
     port: Arc<Port>,
     listener: Listener,
     draining: CancellationToken,
     closing: CancellationToken,
-) -> io::Result<()> {
+) -> io::Result<Option<Listener>> {
     match listener {
         Listener::Tcp(listener) => {
             let listener = tokio::net::TcpListener::from_std(listener)?;
-            tcp::serve(port, listener, draining, closing).await;
+            let listener = tcp::serve(port, listener, draining, closing).await;
+            listener.map(|listener| listener.into_std().map(Listener::Tcp)).transpose()
         }
         Listener::Udp(socket, datagrams) => {
             let socket = tokio::net::UdpSocket::from_std(socket)?;
-            udp::serve(port, socket, datagrams, draining, closing).await;
+            let socket = udp::serve(port, socket, datagrams, draining, closing).await;
+            socket.map(|socket| socket.into_std().map(|socket| Listener::Udp(socket, datagrams))).transpose()
         }
     }
-    Ok(())
 }

@@ -25,7 +25,7 @@ pub(super) async fn serve(
     listener: TcpListener,
     draining: CancellationToken,
     closing: CancellationToken,
-) {
+) -> Option<TcpListener> {
     let (admission, mut clients) = (port.admission(), JoinSet::new());
     loop {
         let accepted = tokio::select! {
@@ -47,8 +47,9 @@ pub(super) async fn serve(
             }
         }
     }
-    drop(listener);
+    let listener = closing.is_cancelled().then_some(listener);
     while clients.join_next().await.is_some() {}
+    listener
 }
 
 async fn accept(listener: &TcpListener, admission: &Admission) -> io::Result<(TcpStream, SocketAddr)> {

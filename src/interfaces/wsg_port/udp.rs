@@ -67,7 +67,7 @@ pub(super) async fn serve(
     Datagrams { reply_port, lost_after }: Datagrams,
     draining: CancellationToken,
     closing: CancellationToken,
-) {
+) -> Option<UdpSocket> {
     let (socket, admission) = (Arc::new(socket), port.admission());
     unreachable::report(&socket);
     let (mut known, mut clients) = (HashMap::<SocketAddr, Known>::new(), JoinSet::new());
@@ -144,6 +144,7 @@ pub(super) async fn serve(
         known.insert(answered_at, Known { datagrams: sender, source: peer.port(), heard: now, outage });
     }
     while clients.join_next().await.is_some() {}
+    Arc::into_inner(socket)
 }
 
 /// Reads one client's datagrams as a stream.
