@@ -166,35 +166,33 @@ test('a tap just after a notice has moved the page does not move the fingers', a
   const visitor = await visit(launched, served);
   const { page } = visitor;
   await homed(page);
-  /** Taps Grip as soon as a notice has moved it, or after a while. */
-  const tap = (waitMs) =>
-    page.evaluate(
-      (wait) =>
-        new Promise((resolve) => {
-          const grip = document.querySelector('#grip');
-          const { top } = grip.getBoundingClientRect();
-          const look = () => {
-            if (grip.getBoundingClientRect().top === top) {
-              requestAnimationFrame(look);
-              return;
-            }
-            setTimeout(() => {
-              const more = { detail: 1, bubbles: true, cancelable: true };
-              grip.dispatchEvent(new PointerEvent('pointerdown', more));
-              resolve(grip.dispatchEvent(new MouseEvent('click', more)));
-            }, wait);
-          };
-          look();
-        }),
-      waitMs,
-    );
+  /** Lets Grip be tapped as soon as a notice moves it, or a while later. */
+  const tapOnMove = (waitMs) =>
+    page.evaluate((wait) => {
+      const grip = document.querySelector('#grip');
+      const { top } = grip.getBoundingClientRect();
+      window.tapped = new Promise((resolve) => {
+        const look = () => {
+          if (grip.getBoundingClientRect().top === top) {
+            requestAnimationFrame(look);
+            return;
+          }
+          setTimeout(() => {
+            const more = { detail: 1, bubbles: true, cancelable: true };
+            grip.dispatchEvent(new PointerEvent('pointerdown', more));
+            resolve(grip.dispatchEvent(new MouseEvent('click', more)));
+          }, wait);
+        };
+        look();
+      });
+    }, waitMs);
   await page.evaluate(() => scrollTo(0, 0));
-  const early = tap(0);
+  await tapOnMove(0);
   await served.ask('POST', 'grippers/left/lease', { holder: 'Ben', request: true });
-  assert.equal(await early, false, 'the tap is dropped');
-  const late = tap(400);
+  assert.equal(await page.evaluate('tapped'), false, 'the tap is dropped');
+  await tapOnMove(400);
   await page.click('[data-notice=asked] button:has-text("Not now")');
-  assert.equal(await late, true);
+  assert.equal(await page.evaluate('tapped'), true);
   await page.waitForSelector('.last[data-outcome=PART_HELD]');
   const { events } = await served.ask('GET', 'events?kind=command');
   assert.equal(events.filter(({ command, phase }) => command === 'grip' && phase === 'admitted').length, 1);
