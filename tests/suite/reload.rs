@@ -227,8 +227,9 @@ async fn client_that_is_no_longer_named_loses_its_rights() {
     let plc = "[[clients]]\nname = \"plc\"\naddress = \"127.0.0.1\"\nrole = \"operator\"\n";
     let one = Configured::start(&toml(plc)).await;
     let address = one.gateway.word_after("WSG port of g: tcp://").await.parse().unwrap();
+    one.gateway.until_link("connected").await;
     let mut driver = Driver::connect(address).await;
-    eventually("the link", async || (driver.run(0x20, &[0]).await == 0).then_some(())).await;
+    assert_eq!(driver.run(0x20, &[0]).await, 0);
     std::fs::write(&one.file, toml("")).unwrap();
     one.gateway.hang_up();
     one.gateway.until_logged("configuration reloaded").await;
