@@ -12,6 +12,7 @@ use std::time::Duration;
 
 use serde::Deserialize;
 use toml::Spanned;
+use url::Url;
 
 use crate::gripper::model::{
     CustomIds, LeaseRules, Name, OnJournalFailure, OnLossHolding, OnLossMoving, UpdateMode, UpdateRules,
@@ -110,6 +111,10 @@ pub struct Config {
     pub tls: Option<TlsConfig>,
     /// Time after which an idle HTTP connection is closed.
     pub idle_timeout: Duration,
+    /// URL of the dashboard, as other gateways' users reach it.
+    pub public_url: Option<Url>,
+    /// Whether the gateway announces itself on the local network (mDNS).
+    pub mdns: bool,
     pub grippers: Vec<GripperConfig>,
     /// Time for a running command to finish at shutdown.
     pub drain: Duration,
@@ -247,6 +252,8 @@ impl Config {
             cors_origins: origins(file, "cors_origins", |content| &content.cors_origins)?,
             frame_ancestors: origins(file, "frame_ancestors", |content| &content.frame_ancestors)?,
             idle_timeout: idle_timeout(file)?,
+            public_url: public_url(file)?,
+            mdns: content.is_some_and(|content| content.mdns),
             grippers: grippers(flags, file, insecure)?,
             drain: drain(file)?,
             zenoh: Zenoh::merge(flags, file, insecure)?,
@@ -254,6 +261,22 @@ impl Config {
         };
         Ok(config)
     }
+}
+
+fn public_url(file: Option<&File>) -> Result<Option<Url>, ConfigError> {
+    let Some((file, text)) = file.and_then(|file| Some((file, file.content.public_url.as_ref()?))) else {
+        return Ok(None);
+    };
+    let is_plain = |url: &Url| {
+        let is_bare = url.username().is_empty() && url.query().is_none() && url.fragment().is_none();
+        // The URL becomes a part of a Zenoh key, where an asterisk is a wildcard.
+        matches!(url.scheme(), "http" | "https") && is_bare && !url.as_str().contains('*')
+    };
+    let url = text.get_ref().parse().ok().filter(is_plain);
+    url.map(Some).ok_or_else(|| {
+        let detail = format!("public_url is {:?}: write a URL such as https://cell-7.example:8080/", text.get_ref());
+        ConfigError::at(&file.place(text.span().start), detail)
+    })
 }
 
 /// Returns a list of origins.
@@ -403,6 +426,8 @@ struct Content {
     journal_max_size_mb: Option<Spanned<u64>>,
     drain_ms: Option<Spanned<u64>>,
     idle_timeout_s: Option<Spanned<u64>>,
+    public_url: Option<Spanned<String>>,
+    mdns: bool,
     zenoh: zenoh::ZenohContent,
     webhooks: Vec<webhooks::WebhookContent>,
     grippers: std::collections::BTreeMap<Spanned<String>, GripperContent>,

@@ -17,6 +17,9 @@ const OF_A_LINK: usize = 2;
 /// Zenoh's runtimes and its listener.
 const OF_ZENOH: usize = 13;
 
+/// The announcement by mDNS: a socket for each kind of address, and those of its thread.
+const OF_MDNS: usize = 8;
+
 /// Highest soft limit that is requested: more would be useless, and some systems have no hard limit.
 const MOST: u64 = 65_536;
 
@@ -96,7 +99,8 @@ fn needs(config: &Config) -> (usize, usize) {
     let ports = addresses.filter(|(address, _)| matches!(address, WsgAddress::Tcp(_))).count();
     let zenoh = if config.zenoh.is_some() { OF_ZENOH } else { 0 };
     let links = config.grippers.iter().filter(|gripper| matches!(gripper.device, DeviceSource::At(_))).count();
-    (OWN + OF_A_LINK * links + zenoh, ports)
+    let mdns = if config.mdns { OF_MDNS } else { 0 };
+    (OWN + OF_A_LINK * links + zenoh + mdns, ports)
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@ mod announce;
 mod descriptors;
 mod grippers;
 mod listen;
+mod mdns;
 mod metrics;
 mod ports;
 mod reload;
@@ -43,6 +44,7 @@ use crate::trends::Trends;
 use crate::webhooks::{WebhookContext, Webhooks};
 use descriptors::Shares;
 use grippers::RunningGrippers;
+use mdns::Announcement;
 use ports::{PortContext, Ports};
 use reload::Reloader;
 pub use simulation::{ServedDevice, SimulatedDevice, Switch, serve as serve_device};
@@ -135,7 +137,8 @@ impl RunningGateway {
     async fn end(self) -> anyhow::Result<()> {
         // A reload under way is finished first, so that no gripper is left behind.
         self.stopping.cancel();
-        let Reloader { ports, listener, .. } = self.reloading.await?;
+        let Reloader { ports, listener, announcement, .. } = self.reloading.await?;
+        let withdrawn = announcement.map(|announcement| tokio::spawn(announcement.withdraw()));
         tracing::info!("shutting down: draining grippers");
         self.draining.cancel();
         self.grippers.drain().await;
@@ -147,6 +150,9 @@ impl RunningGateway {
         }
         self.webhooks.ended().await;
         ports.ended().await?;
+        if let Some(withdrawn) = withdrawn {
+            withdrawn.await?;
+        }
         self.audit.write_down();
         Ok(self.journal.close().await?)
     }
@@ -184,7 +190,7 @@ async fn start(
     let running = RunningGrippers::start(&config, runtimes.devices.handle(), &journal, &recovered, &registry)?;
     let grippers = running.grippers.clone();
     let audit = Arc::new(Audit::new(journal.clone()));
-    let peers = Arc::new(Peers::new(config.name.clone(), grippers.clone()));
+    let peers = Arc::new(Peers::new(config.name.clone(), grippers.clone(), config.public_url.clone()));
     let webhook_context = WebhookContext {
         gateway: &config.name,
         journal: &journal,
@@ -239,6 +245,7 @@ async fn start(
         draining: draining.clone(),
         closing: shutdown.clone(),
     };
+    let announcement = Announcement::of(&config, address);
     let reloader = Reloader {
         flags: flags.clone(),
         config,
@@ -247,6 +254,7 @@ async fn start(
         access,
         settings,
         listener,
+        announcement,
         accept: clients.accept.clone(),
         grippers: running,
         ports: Ports::serve(ports, grippers.clone(), port_context),

@@ -10,6 +10,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::descriptors::Shares;
 use super::grippers::{GripperDifferences, RunningGrippers};
+use super::mdns::Announcement;
 use super::ports::{PortChanges, Ports};
 use super::{listen, settings, systemd};
 use crate::access::{Access, AccessRules};
@@ -30,6 +31,8 @@ pub(super) struct Reloader {
     pub(super) access: Arc<Access>,
     pub(super) settings: SharedSettings,
     pub(super) listener: watch::Sender<Arc<TcpListener>>,
+    /// `None` if the gateway is not announced by mDNS.
+    pub(super) announcement: Option<Announcement>,
     /// The runtime that accepts connections.
     pub(super) accept: RuntimeHandle,
     pub(super) grippers: RunningGrippers,
@@ -155,6 +158,14 @@ impl Reloader {
         self.grippers.apply(&config, grippers, &recovered).await?;
         let free = self.ports.end_changed(&ports, &affected).await;
         self.ports.start_changed(free, ports);
+        let announced = |config: &Config| (config.mdns, config.listen);
+        if announced(&config) != announced(&self.config) {
+            if let Some(before) = self.announcement.take() {
+                before.withdraw().await;
+            }
+            let address = self.listener.borrow().local_addr()?;
+            self.announcement = Announcement::of(&config, address);
+        }
         self.config = config;
         Ok(())
     }
@@ -168,6 +179,7 @@ fn fixed(before: &Config, after: &Config) -> Vec<&'static str> {
     let differs = [
         ("name", before.name != after.name),
         ("the journal's path and limits", journal(before) != journal(after)),
+        ("public_url", before.public_url != after.public_url),
         ("zenoh", before.zenoh != after.zenoh),
         ("webhooks", before.webhooks != after.webhooks),
         // Open connections began under the other rule.
@@ -200,6 +212,7 @@ fn differences(before: &Config, after: &Config, grippers: &GripperDifferences) -
         ("cors_origins", before.cors_origins != after.cors_origins),
         ("frame_ancestors", before.frame_ancestors != after.frame_ancestors),
         ("idle_timeout_s", before.idle_timeout != after.idle_timeout),
+        ("mdns", before.mdns != after.mdns),
         ("access and clients", before.access != after.access),
         ("tls", before.tls != after.tls),
     ];

@@ -15,7 +15,7 @@ fn updates() -> (Arc<LiveUpdates>, Journal) {
         fake::gripper("left", FakeScript::default()).0,
         fake::gripper("right", FakeScript::default()).0,
     ]);
-    let network = Arc::new(Peers::new("wsg".parse().unwrap(), fleet.clone()));
+    let network = Arc::new(Peers::new("wsg".parse().unwrap(), fleet.clone(), None));
     let alarms = Arc::new(Alarms::new("wsg".parse().unwrap(), journal.clone(), &[]));
     (Arc::new(LiveUpdates::new(fleet, journal.clone(), network, alarms)), journal)
 }

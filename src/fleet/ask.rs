@@ -346,7 +346,7 @@ mod tests {
     #[tokio::test]
     async fn gone_gateway_gets_only_stops_and_lease_uses() {
         let name = |text: &str| text.parse::<Name>().unwrap();
-        let network = Peers::new(name("cell-0"), crate::gripper::Grippers::new([]));
+        let network = Peers::new(name("cell-0"), crate::gripper::Grippers::new([]), None);
         network.take_token("wsg/v1/cell-1/alive", true);
         network.take_state("wsg/v1/cell-1/left/state", br#"{"link": "connected", "age_ms": 5, "fast_stop": false}"#);
         let urgency = |method| match method {

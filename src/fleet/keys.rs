@@ -20,7 +20,8 @@ impl ZenohKeys {
         Self { gateway: gateway.clone() }
     }
 
-    /// Returns a key of the gateway itself: `fast-stop`, `fleet`, `event`, `alive`, `instance/…`, `client/…`.
+    /// Returns a key of the gateway itself: `fast-stop`, `fleet`, `event`, `alive`, `instance/…`, `dashboard/…`,
+    /// `client/…`.
     #[must_use]
     pub fn own(&self, what: &str) -> String {
         format!("{ROOT}/{}/{what}", self.gateway)

@@ -16,6 +16,7 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::{Notify, Semaphore, watch};
 use tokio::task::AbortHandle;
+use url::Url;
 use zenoh::Wait as _;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::qos::{CongestionControl, Priority};
@@ -55,6 +56,8 @@ const MAX_STATE_BYTES: usize = 16 * 1024;
 pub struct Peers {
     gateway: Name,
     own: Grippers,
+    /// URL of this gateway's dashboard, as others reach it.
+    dashboard: Option<Url>,
     session: OnceLock<zenoh::Session>,
     /// Why the gateway is not connected to the network as configured; `None` if it is.
     cause: watch::Sender<Option<String>>,
@@ -83,19 +86,19 @@ pub struct FleetStop {
 impl Peers {
     /// Returns the peers of a gateway that has not joined a network yet.
     #[must_use]
-    pub fn new(gateway: Name, own: Grippers) -> Self {
+    pub fn new(gateway: Name, own: Grippers, dashboard: Option<Url>) -> Self {
         let (session, others, news) = (OnceLock::new(), Mutex::default(), Notify::new());
         let [asks, stops, leases] = [MAX_ASKS; 3].map(|places| Arc::new(Semaphore::new(places)));
         let (cause, twins) = (watch::Sender::new(None), Arc::default());
         let (asked_at, insisting) = (Mutex::default(), Mutex::default());
-        Self { gateway, own, session, cause, others, twins, news, asked_at, asks, stops, leases, insisting }
+        Self { gateway, own, dashboard, session, cause, others, twins, news, asked_at, asks, stops, leases, insisting }
     }
 
-    /// Joins the network of this session, until the returned token is dropped.
+    /// Joins the network of this session, until the returned tokens are dropped.
     ///
     /// # Errors
     /// Zenoh's error.
-    pub async fn join(self: &Arc<Self>, session: &zenoh::Session) -> zenoh::Result<LivelinessToken> {
+    pub async fn join(self: &Arc<Self>, session: &zenoh::Session) -> zenoh::Result<Vec<LivelinessToken>> {
         let network = self.clone();
         let on_state = move |state: Sample| network.take_state(state.key_expr().as_str(), &state.payload().to_bytes());
         let states = session.declare_subscriber(format!("{ROOT}/*/*/state")).allowed_origin(Locality::Remote);
@@ -113,13 +116,23 @@ impl Peers {
         };
         let instances = session.liveliness().declare_subscriber(format!("{ROOT}/*/instance/*")).history(true);
         instances.callback(is_one).background().await?;
+        let network = self.clone();
+        let is_shown = move |token: Sample| {
+            network.take_dashboard(token.key_expr().as_str(), token.kind() == SampleKind::Put);
+        };
+        let dashboards = session.liveliness().declare_subscriber(format!("{ROOT}/*/dashboard/*")).history(true);
+        dashboards.callback(is_shown).background().await?;
         let keys = ZenohKeys::of(&self.gateway);
         Twins::answer(session, &keys).await?;
         let instance = keys.own(&format!("instance/{}", session.zid()));
-        let token = session.liveliness().declare_token(instance).await?;
+        let mut tokens = vec![session.liveliness().declare_token(instance).await?];
+        if let Some(url) = &self.dashboard {
+            let key = keys.own(&format!("dashboard/{}", keys::encoded(url.as_str())));
+            tokens.push(session.liveliness().declare_token(key).await?);
+        }
         // A gateway that has joined before keeps its session.
         let _ = self.session.set(session.clone());
-        Ok(token)
+        Ok(tokens)
     }
 
     /// Looks for other gateways with this one's name, for as long as it is polled.
@@ -294,7 +307,8 @@ impl Peers {
 
     fn of_own(&self, state: &State) -> Option<FleetGripper> {
         let report = report::PeerReport::of(&serde_json::to_vec(state).ok()?)?;
-        Some(report.of_gripper(&self.gateway, &state.gripper, Duration::ZERO, false))
+        let listed = report.of_gripper(&self.gateway, &state.gripper, Duration::ZERO, false);
+        Some(listed.shown_at(self.dashboard.as_ref()))
     }
 
     fn take_state(&self, key: &str, state: &[u8]) {
@@ -311,6 +325,12 @@ impl Peers {
         if let Some(gateway) = keys::of_gateway(key).filter(|gateway| *gateway != self.gateway) {
             tracing::info!(%gateway, is_alive, "presence of another gateway changed");
             self.others().take_token(gateway, is_alive);
+        }
+    }
+
+    fn take_dashboard(&self, key: &str, is_alive: bool) {
+        if let Some(gateway) = keys::of_gateway(key).filter(|gateway| *gateway != self.gateway) {
+            self.others().take_dashboard(gateway, &keys::decoded(last_part(key)), is_alive);
         }
     }
 

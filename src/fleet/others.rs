@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 use super::report::{FleetGripper, PeerReport};
 use crate::gripper::Now;
 use crate::gripper::model::Name;
+use url::Url;
 
 /// Maximum number of known grippers of other gateways: enough for more than a hundred cells. Grippers of gone gateways
 /// make room for others.
@@ -21,6 +22,9 @@ const MAX_GATEWAYS: usize = 1024;
 /// Maximum number of sessions known under one gateway's name. With two or more, it is ambiguous which of them answers;
 /// a larger number leaves room for the true one.
 const MAX_INSTANCES_OF_ONE: usize = 16;
+
+/// Longest URL of a dashboard, in bytes.
+const MAX_URL_BYTES: usize = 512;
 
 /// Longest session id that distinguishes gateways with one name, in bytes.
 const MAX_INSTANCE_BYTES: usize = 32;
@@ -73,6 +77,7 @@ pub(super) enum Stop {
 pub(super) struct Others {
     grippers: BTreeMap<(Name, Name), Known>,
     alive: BTreeSet<Name>,
+    dashboards: BTreeMap<Name, Url>,
     /// Sessions that declare themselves to be a gateway, with its name. Those with this gateway's name are left out.
     instances: BTreeSet<(Name, String)>,
 }
@@ -126,6 +131,17 @@ impl Others {
         }
     }
 
+    /// Takes the URL of a gateway's dashboard. Only web pages are accepted, since people open it.
+    pub(super) fn take_dashboard(&mut self, gateway: Name, url: &str, is_alive: bool) {
+        if !is_alive {
+            self.dashboards.remove(&gateway);
+            return;
+        }
+        let url = url.parse().ok().filter(|url: &Url| url.as_str().len() <= MAX_URL_BYTES && is_web(url));
+        let has_room = self.dashboards.len() < MAX_GATEWAYS;
+        self.dashboards.extend(url.filter(|_| has_room).map(|url| (gateway, url)));
+    }
+
     /// Takes the token of a session that declares itself to be the gateway with this name.
     pub(super) fn take_instance(&mut self, gateway: Name, instance: &str, is_alive: bool) {
         let has_room = self.instances.len() < MAX_GATEWAYS && instance.len() <= MAX_INSTANCE_BYTES;
@@ -161,7 +177,8 @@ impl Others {
         let listed = |((gateway, gripper), known): (&(Name, Name), &Known)| {
             let since = now.saturating_duration_since(known.at);
             let gone = self.is_gone(gateway, known, now);
-            (since < KEPT_FOR).then(|| known.report.of_gripper(gateway, gripper, since, gone))
+            let dashboard = self.dashboards.get(gateway);
+            (since < KEPT_FOR).then(|| known.report.of_gripper(gateway, gripper, since, gone).shown_at(dashboard))
         };
         self.grippers.iter().filter_map(listed).collect()
     }
@@ -206,6 +223,11 @@ impl Others {
         let oldest = gone.min_by_key(|(_, known)| known.at).map(|(name, _)| name.clone());
         oldest.is_some_and(|name| self.grippers.remove(&name).is_some())
     }
+}
+
+/// Whether a URL is that of a web page.
+fn is_web(url: &Url) -> bool {
+    matches!(url.scheme(), "http" | "https")
 }
 
 #[cfg(test)]
@@ -277,6 +299,20 @@ mod tests {
         others.take_answer(&left, &report(true), "1", later(5));
         others.take_token(name("cell-1"), false);
         assert_eq!(stop(&others), Stop::Confirmed);
+    }
+
+    #[test]
+    fn dashboard_is_a_web_page_of_its_gateway() {
+        let mut others = Others::default();
+        others.take_state(name("cell-1"), name("left"), report(false));
+        let mut shown = |url: &str, is_alive| {
+            others.take_dashboard(name("cell-1"), url, is_alive);
+            serde_json::to_value(&others.grippers(Instant::now())[0]).unwrap()["dashboard"].clone()
+        };
+        assert_eq!(shown("javascript:alert(1)", true), serde_json::Value::Null);
+        assert_eq!(shown(&format!("http://cell-1/{}", "x".repeat(MAX_URL_BYTES)), true), serde_json::Value::Null);
+        assert_eq!(shown("https://cell-1.example:8080", true), "https://cell-1.example:8080/");
+        assert_eq!(shown("https://cell-1.example:8080/", false), serde_json::Value::Null);
     }
 
     #[test]

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::gripper::model::{FastStopId, Name, Text};
+use url::Url;
 
 /// A gripper's state as published by the gateway that owns it. The lengths of its texts are bounded here.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -54,6 +55,7 @@ impl PeerReport {
             fast_stop_id: self.fast_stop_id,
             fast_stop_confirmed: self.fast_stop_confirmed,
             lease_holder: text(&self.lease_holder),
+            dashboard: None,
         }
     }
 }
@@ -106,9 +108,18 @@ pub struct FleetGripper {
     /// Holder of the lease; null while the gripper is not leased.
     #[schema(required, max_length = 64)]
     lease_holder: Option<String>,
+    /// URL of that gateway's dashboard, if its configuration has one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(format = "uri", max_length = 512, nullable = false)]
+    dashboard: Option<String>,
 }
 
 impl FleetGripper {
+    /// Adds the URL of the gateway's dashboard.
+    pub(super) fn shown_at(self, dashboard: Option<&Url>) -> Self {
+        Self { dashboard: dashboard.map(ToString::to_string), ..self }
+    }
+
     /// The names of the gateway and the gripper.
     #[must_use]
     pub fn name(&self) -> (String, String) {

@@ -43,7 +43,7 @@ impl Gateway {
             Journal::open(crate::journal::JournalLocation::Memory, crate::journal::Retention::default()).unwrap();
         let (name, grippers): (Name, _) = ("wsg".parse().unwrap(), Grippers::new(grippers));
         let audit = Arc::new(Audit::new(journal.clone()));
-        let peers = Arc::new(Peers::new(name.clone(), grippers.clone()));
+        let peers = Arc::new(Peers::new(name.clone(), grippers.clone(), None));
         let alarms = Arc::new(Alarms::new(name.clone(), journal.clone(), &[]));
         let updates = Arc::new(LiveUpdates::new(grippers.clone(), journal.clone(), peers.clone(), alarms.clone()));
         Arc::new(Self {

@@ -1,10 +1,7 @@
 // The first load on a slow network, and a single widget.
 
 import assert from 'node:assert/strict';
-import { mkdtempSync, rmSync, writeFileSync } from 'node:fs';
 import { createServer } from 'node:http';
-import { tmpdir } from 'node:os';
-import { join } from 'node:path';
 import { after, test } from 'node:test';
 
 import { assertClean, browser, endAll, gateway, started, until, visit } from './harness.mjs';
@@ -96,10 +93,7 @@ test('a widget is shown alone, in a frame of a configured page', async () => {
   assertClean(alone);
   await alone.close();
   const url = `http://127.0.0.1:${other.address().port}`;
-  const folder = mkdtempSync(join(tmpdir(), 'wsg-browser-'));
-  started.push(() => rmSync(folder, { recursive: true }));
-  writeFileSync(join(folder, 'gateway.toml'), `frame_ancestors = ["${url}"]\n`);
-  const allowing = await gateway({ more: ['--config', join(folder, 'gateway.toml')] });
+  const allowing = await gateway({ toml: `frame_ancestors = ["${url}"]\n` });
   framed = `${allowing.url}/?view=jaws#/right`;
   const shown = await visit(launched, { url });
   await shown.page.frameLocator('iframe').locator('.jaws-panel').waitFor();

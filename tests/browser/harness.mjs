@@ -3,9 +3,10 @@
 
 import assert from 'node:assert/strict';
 import { spawn, spawnSync } from 'node:child_process';
-import { mkdirSync } from 'node:fs';
+import { mkdirSync, mkdtempSync, rmSync, writeFileSync } from 'node:fs';
 import { createServer, request } from 'node:http';
 import { createRequire } from 'node:module';
+import { tmpdir } from 'node:os';
 import { join } from 'node:path';
 import { fileURLToPath } from 'node:url';
 
@@ -107,8 +108,21 @@ export async function simulator() {
 }
 
 /** Starts a gateway, and reads its state with the token `secret`; `port` 0 is any free port. Waits until the grippers in `connects` are connected, or all. */
-export async function gateway({ port = 0, more = [], connects = null, secret = null } = {}) {
-  const own = ['--listen', `127.0.0.1:${port}`, '--zenoh-listen', 'tcp/127.0.0.1:0', '--journal', ':memory:'];
+export async function gateway({ port = 0, more = [], toml = '', connects = null, secret = null } = {}) {
+  const folder = mkdtempSync(join(tmpdir(), 'wsg-browser-'));
+  started.push(() => rmSync(folder, { recursive: true }));
+  const file = join(folder, 'gateway.toml');
+  writeFileSync(file, toml);
+  const own = [
+    '--config',
+    file,
+    '--listen',
+    `127.0.0.1:${port}`,
+    '--zenoh-listen',
+    'tcp/127.0.0.1:0',
+    '--journal',
+    ':memory:',
+  ];
   const { child, kill, says, said: url } = await run([...own, ...more], /(http:\/\/127\.0\.0\.1:\d+)\//);
   const ask = async (method, path, body) => {
     const headers = secret === null ? {} : { authorization: `Bearer ${secret}` };

@@ -17,9 +17,11 @@ test('STOP shows its reach, and the fleet has its own STOP', async () => {
   const { page } = visitor;
   const endpoint = await near.says(/Zenoh: (tcp\/127\.0\.0\.1:\d+)/);
   const far = await gateway({
+    toml: 'public_url = "https://cell-2.example/"\n',
     more: ['--name', 'cell-2', '--zenoh-connect', endpoint, '--gripper', 'right=sim://wsg50'],
   });
   await page.waitForSelector('tbody tr:has-text("cell-2")');
+  assert.equal(await page.getAttribute('tbody tr a:has-text("cell-2")', 'href'), 'https://cell-2.example/');
   assert.match(await text(page, '#stop'), /this gateway: 1/);
   await page.click('#stop');
   await page.waitForSelector('.stopped:has-text("confirmed (this gateway: 1).")');

@@ -26,6 +26,7 @@ mod kills;
 mod leases;
 mod link;
 mod logs;
+mod mdns;
 mod metrics;
 mod noisy_udp;
 mod recordings;

@@ -7,6 +7,7 @@
 //! | `/{gripper}/command/{name}` | queries, named like WebSocket methods: `grip`, `lease.take` |
 //! | `/{gripper}/alive` | a liveliness token while the gripper's link is up; `/alive` while the gateway runs |
 //! | `/instance/{id}` | a unique liveliness token of this gateway: two of them mean two gateways of one name |
+//! | `/dashboard/{url}` | a liveliness token with the percent-encoded URL of the dashboard, if one is configured |
 //! | `/client/{name}` | a liveliness token of a client: binds a lease if the client's session is not visible |
 //! | `/fast-stop` | a put stops all grippers of the gateway; a put to `wsg/v1/fast-stop` those of all gateways |
 //! | `/fleet` | a query: all grippers of all gateways |
@@ -168,14 +169,13 @@ async fn declare(session: &zenoh::Session, context: &Context, max_hz: u32) -> ze
     FastStops::new(gateway.grippers.clone(), runtimes.accept.clone()).declare(session, &keys).await?;
     let clients = Arc::new(Clients::new(keys.clone(), Handle::current(), metrics.clone()));
     clients.declare(session).await?;
-    let instance = gateway.peers.join(session).await?;
+    let alive = gateway.peers.join(session).await?;
     let queries = Arc::new(Queries::new(keys.clone(), gateway, clients, metrics.clone()));
     queries.declare(session).await?;
     let mut tasks = JoinSet::new();
     tasks.spawn(gateway.peers.watch_twins(session));
     tasks.spawn_on(publications::tell_events(session.clone(), keys.clone(), context.clone()), &runtimes.observers);
-    let mut declared =
-        Declarations { keys, queries, grippers: Vec::new(), max_hz, alive: vec![instance], _tasks: tasks };
+    let mut declared = Declarations { keys, queries, grippers: Vec::new(), max_hz, alive, _tasks: tasks };
     declared.declare_grippers(session, context).await?;
     // Others see the gateway only now that it answers.
     declared.alive.push(session.liveliness().declare_token(declared.keys.own("alive")).await?);
