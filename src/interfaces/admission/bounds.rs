@@ -113,10 +113,12 @@ impl Bounds {
             classes[class as usize] = share(most);
         }
         let (leaving, reserved) = (share(LEAVING), share(RESERVED));
-        // The remainder goes to keep-alive connections.
+        // The remainder goes to new connections, so that several can wait for their first bytes, and to keep-alive ones.
         let bounded: usize = classes.iter().filter(|most| **most < usize::MAX).sum();
         let taken = bounded + classes[Class::Streaming as usize] * (STREAMING_DESCRIPTORS - 1) + leaving + reserved;
-        classes[Class::Idle as usize] += descriptors.saturating_sub(taken);
+        let rest = descriptors.saturating_sub(taken);
+        classes[Class::Incoming as usize] += rest.div_ceil(2);
+        classes[Class::Idle as usize] += rest / 2;
         Self { classes, leaving, reserved, held_bytes: HELD_BYTES }
     }
 

@@ -95,8 +95,14 @@ impl Table {
         self.change(id, |entry| entry.is_demoted = true);
     }
 
+    /// Marks that a request has begun to arrive. A first request keeps the age of its connection: a newer connection
+    /// whose first bytes are still to come can bring a FAST STOP.
     pub(super) fn receiving(&mut self, id: Id, now: Instant) {
-        self.change(id, |entry| (entry.base, entry.since) = (Class::Incoming, now));
+        self.change(id, |entry| {
+            if entry.base != Class::Incoming {
+                (entry.base, entry.since) = (Class::Incoming, now);
+            }
+        });
     }
 
     /// Adds a claim. Returns `None` if the class stays full.

@@ -25,7 +25,11 @@ fn oldest_half_sent_request_gives_way() {
     let (first, second) = (admit(&admission, HERE), admit(&admission, HERE));
     first.receiving();
     let third = admit(&admission, HERE);
-    assert!(is_evicted(&second) && !is_evicted(&first) && !is_evicted(&third));
+    assert!(is_evicted(&first) && !is_evicted(&second), "a newer connection can still bring a FAST STOP");
+    drop(second.claim(Class::Answering).unwrap());
+    let fourth = admit(&admission, HERE);
+    second.receiving();
+    assert!(is_evicted(&third) && !is_evicted(&second) && !is_evicted(&fourth), "a reused connection");
 }
 
 #[test]
