@@ -3,6 +3,7 @@
 import assert from 'node:assert/strict';
 import { after, test } from 'node:test';
 
+import { misfits, violations } from './checks.mjs';
 import { assertClean, browser, controlled, endAll, gateway, homed, named, shoot, until, visit } from './harness.mjs';
 
 after(endAll);
@@ -32,6 +33,7 @@ test('STOP shows its reach, and the fleet has its own STOP', async () => {
   await page.waitForSelector('.stopped:has-text("confirmed (all gateways: 2 grippers).")');
   assert.equal((await state(far, 'right')).fast_stop, true);
   await shoot(page, 'fleet-stopped');
+  assert.deepEqual([...(await violations(page)), ...(await misfits(page))], []);
   assertClean(visitor);
   await visitor.close();
 });
