@@ -188,6 +188,32 @@ async fn revoked_token_is_refused_at_once() {
 }
 
 #[tokio::test]
+async fn stream_ends_with_the_right_to_read() {
+    let (gateway, secrets) = guarded().await;
+    let stream = reqwest::Client::new().get(gateway.url("/api/v1/stream?topics=state")).bearer_auth(&secrets[1]);
+    let mut stream = stream.send().await.unwrap();
+    assert!(stream.chunk().await.unwrap().is_some());
+    let tokens = gateway.tokens.as_deref().unwrap();
+    assert!(run(&["token", "--tokens", tokens, "revoke", "robot"]).await.status.success());
+    while let Ok(Some(_)) = stream.chunk().await {}
+}
+
+#[tokio::test]
+async fn session_does_not_work_from_pages_of_other_origins() {
+    let path = std::env::temp_dir().join(format!("wsg-{}.toml", uuid::Uuid::now_v7()));
+    std::fs::write(&path, "cors_origins = [\"https://hmi.example\"]\n").unwrap();
+    let arguments = ["--config", path.to_str().unwrap()];
+    let (gateway, secrets) = Gateway::guarded(&["--name robot --role operator"], &arguments).await;
+    std::fs::remove_file(path).unwrap();
+    let browser = reqwest::Client::new();
+    let signed_in = browser.post(gateway.url("/api/v1/session")).json(&json!({"token": secrets[0]}));
+    let cookie = signed_in.send().await.unwrap().headers()["set-cookie"].to_str().unwrap().to_owned();
+    let me = || browser.get(gateway.url("/api/v1/me")).header("Cookie", cookie.split(';').next().unwrap());
+    assert_eq!(gateway.send(me()).await.ok()["proof"], "session");
+    gateway.send(me().header("Origin", "https://hmi.example")).await.problem(401, "unauthorized");
+}
+
+#[tokio::test]
 async fn browser_signs_in_and_out() {
     let (gateway, secrets) = guarded().await;
     let browser = reqwest::Client::new();
