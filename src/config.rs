@@ -12,8 +12,9 @@ use std::time::Duration;
 
 use serde::Deserialize;
 use toml::Spanned;
-use url::Url;
+use url::{Position, Url};
 
+use crate::fleet::MAX_URL_BYTES;
 use crate::gripper::model::{
     CustomIds, LeaseRules, Name, OnJournalFailure, OnLossHolding, OnLossMoving, UpdateMode, UpdateRules,
 };
@@ -111,7 +112,7 @@ pub struct Config {
     pub tls: Option<TlsConfig>,
     /// Time after which an idle HTTP connection is closed.
     pub idle_timeout: Duration,
-    /// URL of the dashboard, as other gateways' users reach it.
+    /// URL at which users of other gateways reach this dashboard.
     pub public_url: Option<Url>,
     /// Whether the gateway announces itself on the local network (mDNS).
     pub mdns: bool,
@@ -268,13 +269,20 @@ fn public_url(file: Option<&File>) -> Result<Option<Url>, ConfigError> {
         return Ok(None);
     };
     let is_plain = |url: &Url| {
-        let is_bare = url.username().is_empty() && url.query().is_none() && url.fragment().is_none();
+        let is_bare = *url.authority() == url[Position::BeforeHost..Position::AfterPort]
+            && url.as_str().len() <= MAX_URL_BYTES
+            && url.query().is_none()
+            && url.fragment().is_none();
         // The URL becomes a part of a Zenoh key, where an asterisk is a wildcard.
         matches!(url.scheme(), "http" | "https") && is_bare && !url.as_str().contains('*')
     };
     let url = text.get_ref().parse().ok().filter(is_plain);
     url.map(Some).ok_or_else(|| {
-        let detail = format!("public_url is {:?}: write a URL such as https://cell-7.example:8080/", text.get_ref());
+        // The text can contain a password.
+        let detail = format!(
+            "public_url is not a URL that others can open: write at most {MAX_URL_BYTES} bytes without user, password, \
+             query and asterisk, such as https://cell-7.example:8080/"
+        );
         ConfigError::at(&file.place(text.span().start), detail)
     })
 }

@@ -40,6 +40,23 @@ fn motion_pause_is_50_ms_unless_set() {
 }
 
 #[test]
+fn public_url_is_a_web_page_without_secrets() {
+    let url = |value: &str| {
+        file(&format!("public_url = \"{value}\""))
+            .map(|config| config.public_url.map(|url| url.to_string()))
+            .map_err(|error| error.to_string())
+    };
+    assert_eq!(url("https://cell-7.example:8080"), Ok(Some("https://cell-7.example:8080/".to_owned())));
+    let long = format!("https://cell-7.example/{}", "x".repeat(512));
+    for wrong in
+        ["cell-7", "javascript:alert(1)", "https://:secret@cell-7.example", "https://cell-7/?a=b", "http://*/", &long]
+    {
+        let error = url(wrong).unwrap_err();
+        assert!(error.contains("public_url") && !error.contains("secret"), "{error}");
+    }
+}
+
+#[test]
 fn frame_ancestors_are_origins() {
     let origins = |value: &str| {
         file(&format!("frame_ancestors = [{value}]"))

@@ -17,7 +17,7 @@ const OF_A_LINK: usize = 2;
 /// Zenoh's runtimes and its listener.
 const OF_ZENOH: usize = 13;
 
-/// The announcement by mDNS: a socket for each kind of address, and those of its thread.
+/// The announcement by mDNS: a socket each for IPv4 and IPv6, and the descriptors of its thread.
 const OF_MDNS: usize = 8;
 
 /// Highest soft limit that is requested: more would be useless, and some systems have no hard limit.

@@ -111,7 +111,7 @@ impl RunningGrippers {
             changing.push(async move { handle.reconfigure(Reconfiguration { config, connector }).await });
         }
         futures_util::future::join_all(changing).await;
-        // The other new devices are in use.
+        // The connectors that remain belong to added grippers.
         for gripper in &config.grippers {
             if let Some(connector) = changes.connectors.remove(&gripper.name) {
                 let handle = self.spawn(config, gripper, connector, recovered)?;

@@ -1,6 +1,6 @@
 //! The announcement on the local network: multicast DNS (RFC 6762) with service discovery (RFC 6763).
 
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::time::Duration;
 
 use mdns_sd::{IfKind, ServiceDaemon, ServiceInfo};
@@ -14,15 +14,18 @@ const SERVICE: &str = "_wsg-gateway._tcp.local.";
 /// Host name where the system has none.
 const DEFAULT_HOST: &str = "wsg-gateway";
 
-/// Time for the packets that withdraw an announcement.
+/// Longest label of a host name (RFC 1035, 2.3.4).
+const MAX_LABEL_BYTES: usize = 63;
+
+/// Time limit for sending the packets that withdraw an announcement.
 const WITHDRAWN_WITHIN: Duration = Duration::from_millis(500);
 
-/// An announced gateway. Dropping this does not withdraw the announcement.
+/// An announced gateway, until it is withdrawn.
 pub(super) struct Announcement(ServiceDaemon);
 
 impl Announcement {
-    /// Announces the gateway at this address, on the interface that has it, if the configuration says so. A gateway that
-    /// cannot be announced is served all the same.
+    /// Announces the gateway at this address if the configuration says so. If the announcement fails, the gateway runs
+    /// without it.
     pub(super) fn of(config: &Config, address: SocketAddr) -> Option<Self> {
         let announced = config.mdns.then(|| Self::announce(config, address));
         announced?.inspect_err(|error| tracing::warn!(%error, "gateway not announced by mDNS")).ok()
@@ -31,17 +34,27 @@ impl Announcement {
     fn announce(config: &Config, address: SocketAddr) -> mdns_sd::Result<Self> {
         let scheme = if config.tls.is_some() { "https" } else { "http" };
         let properties = [("version", env!("CARGO_PKG_VERSION")), ("scheme", scheme), ("path", "/")];
-        let (name, host, port) = (config.name.as_str(), host(), address.port());
-        let daemon = ServiceDaemon::new()?;
-        let service = if address.ip().is_unspecified() {
-            ServiceInfo::new(SERVICE, name, &host, (), port, &properties[..])?.enable_addr_auto()
-        } else {
-            daemon.disable_interface(IfKind::All)?;
-            daemon.enable_interface(address.ip())?;
-            ServiceInfo::new(SERVICE, name, &host, address.ip(), port, &properties[..])?
-        };
-        daemon.register(service)?;
-        Ok(Self(daemon))
+        let name = config.name.as_str();
+        // The addresses are those of the interfaces that are up, now or later.
+        let service = ServiceInfo::new(SERVICE, name, &host(), (), address.port(), &properties[..])?.enable_addr_auto();
+        let announcement = Self(ServiceDaemon::new()?);
+        announcement.restrict(address.ip()).and_then(|()| announcement.0.register(service)).inspect_err(|_| {
+            // Otherwise its thread continues.
+            let _ = announcement.0.shutdown();
+        })?;
+        Ok(announcement)
+    }
+
+    /// Leaves out interfaces that HTTP is not served on.
+    fn restrict(&self, address: IpAddr) -> mdns_sd::Result<()> {
+        match address {
+            IpAddr::V4(address) if address.is_unspecified() => self.0.disable_interface(IfKind::IPv6),
+            IpAddr::V6(address) if address.is_unspecified() => Ok(()),
+            address => {
+                self.0.disable_interface(IfKind::All)?;
+                self.0.enable_interface(address)
+            }
+        }
     }
 
     /// Withdraws the announcement, so that others forget the gateway at once.
@@ -57,5 +70,6 @@ impl Announcement {
 fn host() -> String {
     let system = rustix::system::uname();
     let name = system.nodename().to_str().ok().and_then(|name| name.split('.').next());
-    format!("{}.local.", name.filter(|name| !name.is_empty() && *name != "localhost").unwrap_or(DEFAULT_HOST))
+    let is_usable = |name: &&str| (1..=MAX_LABEL_BYTES).contains(&name.len()) && *name != "localhost";
+    format!("{}.local.", name.filter(is_usable).unwrap_or(DEFAULT_HOST))
 }

@@ -151,21 +151,21 @@ impl Ports {
         self.served = kept;
         let mut free = Vec::new();
         for ServedPort { configured, descriptors, draining, closing, task } in ended {
-            // In this order, the port returns its socket.
+            // `closing` comes first, so that the port returns its socket.
             closing.cancel();
             draining.cancel();
-            let listener = match task.await.map_err(std::io::Error::other).flatten() {
-                Ok(listener) => listener,
-                Err(error) => {
-                    tracing::error!(gripper = %configured.gripper, %error, "WSG port failed");
-                    continue;
-                }
-            };
+            let ended = task.await.map_err(std::io::Error::other).flatten();
+            let listener = ended.and_then(|listener| listener.ok_or_else(|| std::io::Error::other("socket closed")));
             let next = changes.configured.iter().find(|port| port.is_same_socket(&configured));
-            free.extend(listener.zip(next.cloned()).map(|(listener, configured)| {
-                let (gripper, listener) = (configured.gripper.clone(), listener.with_settings_of(configured.address));
-                BoundPort { gripper, listener, configured, descriptors }
-            }));
+            match (listener, next.cloned()) {
+                (Ok(listener), Some(configured)) => {
+                    let gripper = configured.gripper.clone();
+                    let listener = listener.with_settings_of(configured.address);
+                    free.push(BoundPort { gripper, listener, configured, descriptors });
+                }
+                (Err(error), _) => tracing::error!(gripper = %configured.gripper, %error, "WSG port failed"),
+                (Ok(_), None) => {}
+            }
         }
         free
     }

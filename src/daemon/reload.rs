@@ -159,7 +159,8 @@ impl Reloader {
         let free = self.ports.end_changed(&ports, &affected).await;
         self.ports.start_changed(free, ports);
         let announced = |config: &Config| (config.mdns, config.listen);
-        if announced(&config) != announced(&self.config) {
+        let is_missing = config.mdns && self.announcement.is_none();
+        if is_missing || announced(&config) != announced(&self.config) {
             if let Some(before) = self.announcement.take() {
                 before.withdraw().await;
             }

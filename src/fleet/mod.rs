@@ -30,6 +30,7 @@ use crate::gripper::model::{Client, FastStopId, Name, Reason, State};
 use crate::gripper::{Grippers, Now};
 
 pub use ask::{Ask, Asked, EVENTS, GRIPS, NoAnswer, READINESS, TOKEN};
+pub use others::MAX_URL_BYTES;
 pub use report::FleetGripper;
 
 /// Maximum number of concurrent requests to other gateways. The limit applies separately to stops, to lease requests,
@@ -128,7 +129,10 @@ impl Peers {
         let mut tokens = vec![session.liveliness().declare_token(instance).await?];
         if let Some(url) = &self.dashboard {
             let key = keys.own(&format!("dashboard/{}", keys::encoded(url.as_str())));
-            tokens.push(session.liveliness().declare_token(key).await?);
+            match session.liveliness().declare_token(key).await {
+                Ok(token) => tokens.push(token),
+                Err(error) => tracing::warn!(%error, "URL of the dashboard not sent to other gateways"),
+            }
         }
         // A gateway that has joined before keeps its session.
         let _ = self.session.set(session.clone());

@@ -24,7 +24,7 @@ const MAX_GATEWAYS: usize = 1024;
 const MAX_INSTANCES_OF_ONE: usize = 16;
 
 /// Longest URL of a dashboard, in bytes.
-const MAX_URL_BYTES: usize = 512;
+pub const MAX_URL_BYTES: usize = 512;
 
 /// Longest session id that distinguishes gateways with one name, in bytes.
 const MAX_INSTANCE_BYTES: usize = 32;
@@ -133,13 +133,16 @@ impl Others {
 
     /// Takes the URL of a gateway's dashboard. Only web pages are accepted, since people open it.
     pub(super) fn take_dashboard(&mut self, gateway: Name, url: &str, is_alive: bool) {
-        if !is_alive {
-            self.dashboards.remove(&gateway);
+        let Some(url) = Some(url).filter(|url| url.len() <= MAX_URL_BYTES).and_then(|url| url.parse().ok()) else {
             return;
+        };
+        let has_room = self.dashboards.len() < MAX_GATEWAYS || self.dashboards.contains_key(&gateway);
+        if is_alive && has_room && is_web(&url) {
+            self.dashboards.insert(gateway, url);
+        } else if !is_alive && self.dashboards.get(&gateway) == Some(&url) {
+            // The withdrawal of an older URL can come after the newer one.
+            self.dashboards.remove(&gateway);
         }
-        let url = url.parse().ok().filter(|url: &Url| url.as_str().len() <= MAX_URL_BYTES && is_web(url));
-        let has_room = self.dashboards.len() < MAX_GATEWAYS;
-        self.dashboards.extend(url.filter(|_| has_room).map(|url| (gateway, url)));
     }
 
     /// Takes the token of a session that declares itself to be the gateway with this name.
@@ -312,7 +315,11 @@ mod tests {
         assert_eq!(shown("javascript:alert(1)", true), serde_json::Value::Null);
         assert_eq!(shown(&format!("http://cell-1/{}", "x".repeat(MAX_URL_BYTES)), true), serde_json::Value::Null);
         assert_eq!(shown("https://cell-1.example:8080", true), "https://cell-1.example:8080/");
-        assert_eq!(shown("https://cell-1.example:8080/", false), serde_json::Value::Null);
+        assert_eq!(shown("https://cell-1.example/", true), "https://cell-1.example/");
+        for withdrawn in ["https://cell-1.example:8080/", "alive"] {
+            assert_eq!(shown(withdrawn, false), "https://cell-1.example/", "the newer URL stays");
+        }
+        assert_eq!(shown("https://cell-1.example/", false), serde_json::Value::Null);
     }
 
     #[test]

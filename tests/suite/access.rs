@@ -14,7 +14,7 @@ use wsg_gateway::gripper::model::Urgency;
 use wsg_gateway::operations::{OPERATIONS, Operation};
 
 use crate::harness::wsg::Driver;
-use crate::harness::{Gateway, Socket, ZenohClient, run, socket_request};
+use crate::harness::{DEADLINE, Gateway, Socket, ZenohClient, run, socket_request};
 
 /// Arguments of `token create` for each kind of client, and its rights to the gripper `g`.
 const CLIENTS: &[(&str, &[Right])] = &[
@@ -195,7 +195,8 @@ async fn stream_ends_with_the_right_to_read() {
     assert!(stream.chunk().await.unwrap().is_some());
     let tokens = gateway.tokens.as_deref().unwrap();
     assert!(run(&["token", "--tokens", tokens, "revoke", "robot"]).await.status.success());
-    while let Ok(Some(_)) = stream.chunk().await {}
+    let ended = async { while let Ok(Some(_)) = stream.chunk().await {} };
+    tokio::time::timeout(DEADLINE, ended).await.unwrap();
 }
 
 #[tokio::test]

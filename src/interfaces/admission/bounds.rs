@@ -113,7 +113,7 @@ impl Bounds {
             classes[class as usize] = share(most);
         }
         let (leaving, reserved) = (share(LEAVING), share(RESERVED));
-        // The remainder goes to new connections, so that several can wait for their first bytes, and to keep-alive ones.
+        // New and keep-alive connections share the remainder, so that several new ones can wait for their first bytes.
         let bounded: usize = classes.iter().filter(|most| **most < usize::MAX).sum();
         let taken = bounded + classes[Class::Streaming as usize] * (STREAMING_DESCRIPTORS - 1) + leaving + reserved;
         let rest = descriptors.saturating_sub(taken);

@@ -96,7 +96,7 @@ impl Table {
     }
 
     /// Marks that a request has begun to arrive. A first request keeps the age of its connection: a newer connection
-    /// whose first bytes are still to come can bring a FAST STOP.
+    /// that has not sent anything yet may carry a FAST STOP.
     pub(super) fn receiving(&mut self, id: Id, now: Instant) {
         self.change(id, |entry| {
             if entry.base != Class::Incoming {

@@ -84,8 +84,9 @@ impl Listener {
     }
 }
 
-/// Serves clients: accepts new ones until `draining`, and serves all until `closing`. Returns the listener if
-/// `closing` was cancelled first. Otherwise a TCP port refuses new clients while it serves the last ones.
+/// Serves clients: accepts new ones until `draining`, and serves all until `closing`. A UDP port returns
+/// its socket. A TCP port returns it only if `closing` is cancelled before `draining`; otherwise it refuses new clients
+/// while it serves the last ones.
 pub async fn serve(
     port: Arc<Port>,
     listener: Listener,

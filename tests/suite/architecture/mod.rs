@@ -25,7 +25,7 @@ const ROOMS: &str = "
         interfaces/zenoh events fleet operations gripper gripper/actor gripper/model gripper/recorder journal sim
         transport trends webhooks
     doctor: access config daemon gripper/model interfaces journal transport wsg wsg/frame
-    config: access gripper/model journal transport webhooks
+    config: access fleet gripper/model journal transport webhooks
     logging:
     operations: access alarms events fleet gripper gripper/model gripper/recorder journal trends webhooks wsg
     interfaces: access operations
