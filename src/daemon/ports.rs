@@ -114,7 +114,9 @@ impl BoundPort {
 impl Ports {
     pub(super) fn serve(ports: Vec<BoundPort>, grippers: Grippers, context: PortContext) -> Self {
         let mut this = Self { served: Vec::new(), grippers, context };
-        ports.into_iter().for_each(|port| this.start(port));
+        for port in ports {
+            this.start(port);
+        }
         this
     }
 
