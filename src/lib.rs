@@ -10,6 +10,7 @@
 //!   the [dashboard](interfaces::dashboard) at `/`, which uses only the public WebSocket and REST.
 //! - [`events`]: live updates, serialised once for all clients.
 //! - [`trends`]: the measured values of the last ten minutes.
+//! - [`recipes`]: the values with which parts are gripped and released.
 //! - [`alarms`]: conditions that a person has to know of, until they are acknowledged.
 //! - [`fleet`]: the other gateways on the Zenoh network.
 //! - [`journal`]: events and grip records that outlive the gateway, in SQLite.
@@ -48,8 +49,10 @@ pub mod interfaces;
 pub mod journal;
 pub mod logging;
 pub mod operations;
+pub mod recipes;
 pub mod sim;
 pub mod transport;
 pub mod trends;
+pub mod wear;
 pub mod webhooks;
 pub mod wsg;

@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use super::list::{AlarmKey, Conditions};
-use crate::gripper::model::{AlarmCause, AlarmKind, Fault, Link, State};
+use crate::gripper::model::{AlarmCause, AlarmKind, Fault, Link, Name, State};
+use crate::wear::{Wear, WearCondition};
 
 /// Flags of the device that raise alarms.
 const FLAGS: [(&str, AlarmKind); 6] = [
@@ -24,11 +25,18 @@ pub(super) fn text(cause: &str) -> AlarmCause {
     AlarmCause { cause: Some(cause.into()), ..AlarmCause::default() }
 }
 
+/// Adds the conditions of a gripper's fingers.
+pub(super) fn of_wear(gripper: &Name, wear: &Wear, conditions: &mut Conditions) {
+    for WearCondition { alarm, part_id, cause } in wear.conditions(gripper) {
+        let key = AlarmKey { part_id: part_id.clone(), ..AlarmKey::of_gripper(alarm, gripper) };
+        conditions.insert(key, Some(AlarmCause { part_id, ..text(&cause) }));
+    }
+}
+
 /// Adds the conditions of a gripper. Shortly after the start, a device has not had the time to connect.
 pub(super) fn of_gripper(state: &State, is_starting: bool, conditions: &mut Conditions) {
     let mut add = |alarm, cause: Option<AlarmCause>| {
-        let key = AlarmKey { alarm, gripper: Some(state.gripper.clone()), gateway: None };
-        conditions.insert(key, cause);
+        conditions.insert(AlarmKey::of_gripper(alarm, &state.gripper), cause);
     };
     match (&state.latch, state.fast_stop) {
         (Some(latch), _) => {
@@ -37,6 +45,7 @@ pub(super) fn of_gripper(state: &State, is_starting: bool, conditions: &mut Cond
                 fast_stop_id: Some(latch.fast_stop_id),
                 fast_stop_by: Some(latch.fast_stop_by.clone()),
                 fast_stop_reason: Some(latch.fast_stop_reason.as_str().into()),
+                part_id: None,
             };
             add(AlarmKind::FastStop, Some(cause));
         }

@@ -7,20 +7,30 @@ use std::time::{Duration, Instant};
 use jiff::Timestamp;
 
 use crate::gripper::Now;
-use crate::gripper::model::{Alarm, AlarmCause, AlarmId, AlarmKind, AlarmStep, Client, ClientLabel, FastStopId, Name};
+use crate::gripper::model::{
+    Alarm, AlarmCause, AlarmId, AlarmKind, AlarmPriority, AlarmStep, Client, ClientLabel, FastStopId, Name, PartId,
+};
 
 /// Time for which a condition has to be absent before its alarm ends. A flickering condition is one alarm.
 const ENDS_AFTER: Duration = Duration::from_secs(1);
 
-/// Maximum number of alarms: those of more than fifty grippers with everything wrong.
+/// Maximum number of alarms: those of more than fifty grippers with everything wrong, besides drifts.
 const MAX_ALARMS: usize = 1024;
 
-/// A condition of a gripper or of another gateway; of this gateway without both.
+/// A condition of a gripper, of a part on it, or of another gateway; of this gateway if all three are absent.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct AlarmKey {
     pub(super) alarm: AlarmKind,
     pub(super) gripper: Option<Name>,
     pub(super) gateway: Option<Name>,
+    pub(super) part_id: Option<PartId>,
+}
+
+impl AlarmKey {
+    /// Key of an alarm that a gripper has at most once.
+    pub(super) fn of_gripper(alarm: AlarmKind, gripper: &Name) -> Self {
+        Self { alarm, gripper: Some(gripper.clone()), gateway: None, part_id: None }
+    }
 }
 
 /// The present conditions. A condition without a cause is unknown, e.g. a flag of a device without a link; all others
@@ -46,7 +56,8 @@ impl AlarmList {
     pub(super) fn restored(alarms: Vec<Alarm>) -> Self {
         let entry = |alarm: Alarm| {
             let (gripper, gateway) = (alarm.gripper.clone(), alarm.gateway.clone());
-            (AlarmKey { alarm: alarm.alarm, gripper, gateway }, Entry { alarm, absent_since: None })
+            let part_id = alarm.cause.part_id.clone();
+            (AlarmKey { alarm: alarm.alarm, gripper, gateway, part_id }, Entry { alarm, absent_since: None })
         };
         Self(alarms.into_iter().take(MAX_ALARMS).map(entry).collect())
     }
@@ -80,9 +91,11 @@ impl AlarmList {
 
     fn raise(&mut self, key: &AlarmKey, cause: &AlarmCause, at: Timestamp, changes: &mut Vec<AlarmChange>) {
         let mut count = 1;
-        if let Some(Entry { alarm, .. }) = self.0.get(key) {
+        if let Some(Entry { alarm, .. }) = self.0.get_mut(key) {
             let is_same = alarm.cause.fast_stop_id == cause.fast_stop_id;
             if alarm.ended_at.is_none() && is_same {
+                // The figures of a drift change with each grip.
+                alarm.cause.clone_from(cause);
                 return;
             }
             if alarm.ended_at.is_none() {
@@ -91,7 +104,7 @@ impl AlarmList {
             if alarm.acknowledged_at.is_none() && is_same {
                 count += alarm.count;
             }
-        } else if self.0.len() >= MAX_ALARMS && !self.make_room() {
+        } else if self.0.len() >= MAX_ALARMS && !self.make_room(key.alarm.priority()) {
             return;
         }
         let alarm = Alarm {
@@ -112,11 +125,13 @@ impl AlarmList {
         self.0.insert(key.clone(), Entry { alarm, absent_since: None });
     }
 
-    /// Removes the alarm that ended first. The journal still has it.
-    fn make_room(&mut self) -> bool {
+    /// Removes the alarm that ended first, or else one of a lower priority. The journal still has it.
+    fn make_room(&mut self, priority: AlarmPriority) -> bool {
         let ended = self.0.iter().filter_map(|(key, entry)| Some((entry.alarm.ended_at?, key)));
-        let oldest = ended.min().map(|(_, key)| key.clone());
-        oldest.and_then(|key| self.0.remove(&key)).is_some()
+        let lower = self.0.iter().filter(|(_, entry)| entry.alarm.priority > priority);
+        let least = || lower.max_by_key(|(_, entry)| entry.alarm.priority).map(|(key, _)| key.clone());
+        let dropped = ended.min().map(|(_, key)| key.clone()).or_else(least);
+        dropped.and_then(|key| self.0.remove(&key)).is_some()
     }
 
     /// Acknowledges the alarms with these ids. Returns the listed ones with what has changed.
@@ -146,7 +161,7 @@ impl AlarmList {
         (by, label): (Option<Arc<str>>, Option<ClientLabel>),
         at: Timestamp,
     ) -> Vec<AlarmChange> {
-        let key = AlarmKey { alarm: AlarmKind::FastStop, gripper: Some(gripper.clone()), gateway: None };
+        let key = AlarmKey::of_gripper(AlarmKind::FastStop, gripper);
         let is_it = self.0.get(&key).is_some_and(|entry| entry.alarm.cause.fast_stop_id == Some(id));
         let Some(Entry { mut alarm, .. }) = is_it.then(|| self.0.remove(&key)).flatten() else { return Vec::new() };
         let mut changes = Vec::new();

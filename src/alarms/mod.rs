@@ -27,7 +27,8 @@ use crate::gripper::model::{
 use crate::gripper::recorder::{Record, Recorder as _};
 use crate::gripper::{Grippers, Now};
 use crate::journal::{EventKind, Journal, Stored};
-use conditions::{of_gripper, text};
+use crate::wear::Wear;
+use conditions::{of_gripper, of_wear, text};
 use list::{AlarmChange, AlarmKey, AlarmList, Conditions};
 
 /// Interval at which conditions are checked. Faults last until a person acts, so none is missed.
@@ -110,7 +111,13 @@ impl Alarms {
     }
 
     /// Follows the conditions until the gateway closes.
-    pub async fn watch(self: Arc<Self>, grippers: Grippers, peers: Arc<Peers>, closing: CancellationToken) {
+    pub async fn watch(
+        self: Arc<Self>,
+        grippers: Grippers,
+        peers: Arc<Peers>,
+        wear: Arc<Wear>,
+        closing: CancellationToken,
+    ) {
         let mut events = self.journal.subscribe();
         let started = Now::read().instant;
         let mut ticks = interval(CHECKED_EVERY);
@@ -128,19 +135,20 @@ impl Alarms {
                 _ = ticks.tick() => {
                     let now = Now::read();
                     let is_starting = now.instant.saturating_duration_since(started) < REACHED_WITHIN;
-                    self.look(now, &self.conditions(&grippers, &peers, is_starting));
+                    self.look(now, &self.conditions(&grippers, &peers, &wear, is_starting));
                 }
             }
         }
     }
 
-    fn conditions(&self, grippers: &Grippers, peers: &Peers, is_starting: bool) -> Conditions {
+    fn conditions(&self, grippers: &Grippers, peers: &Peers, wear: &Wear, is_starting: bool) -> Conditions {
         let mut conditions = Conditions::new();
         for gripper in grippers.all() {
             of_gripper(&gripper.state(), is_starting, &mut conditions);
+            of_wear(gripper.name(), wear, &mut conditions);
         }
         let mut add = |alarm, gateway, cause| {
-            conditions.insert(AlarmKey { alarm, gripper: None, gateway }, Some(cause));
+            conditions.insert(AlarmKey { alarm, gripper: None, gateway, part_id: None }, Some(cause));
         };
         let health = self.journal.health();
         let health = health.borrow();
@@ -193,7 +201,7 @@ impl Alarms {
             Err(error) => tracing::error!(%error, "alarms not persisted: they have no JSON form"),
         }
         for (step, alarm) in changes {
-            let detail = Detail::Alarm(AlarmEvent::of(step, &alarm));
+            let detail = Detail::Alarm(Box::new(AlarmEvent::of(step, &alarm)));
             let event = Event::new(Now::read().wall, alarm.gripper, detail);
             let event = match (step, client) {
                 (AlarmStep::Acknowledged, Some(client)) => event.by(client),

@@ -5,7 +5,7 @@ use std::time::Instant;
 use jiff::{SignedDuration, Timestamp};
 
 use super::*;
-use crate::gripper::model::{Door, Fault, Link, State};
+use crate::gripper::model::{Door, Fault, Link, PartId, State};
 use crate::journal::{JournalLocation, Retention};
 
 /// A list, and a time that passes.
@@ -44,7 +44,7 @@ impl Scene {
 }
 
 fn key(alarm: AlarmKind) -> AlarmKey {
-    AlarmKey { alarm, gripper: Some("left".parse().unwrap()), gateway: None }
+    AlarmKey::of_gripper(alarm, &"left".parse().unwrap())
 }
 
 fn down() -> (AlarmKey, Option<AlarmCause>) {
@@ -69,6 +69,23 @@ fn ended_alarm_stays_until_acknowledged() {
     assert_eq!(scene.acknowledge(alarm.id), 1);
     assert_eq!(scene.list.alarms(), []);
     assert_eq!(scene.acknowledge(alarm.id), 0);
+}
+
+#[test]
+fn alarm_of_a_higher_priority_takes_the_place_of_a_lower_one() {
+    let mut scene = Scene::new();
+    let drift = |number: u32| {
+        let part_id = PartId::new(&number.to_string());
+        (AlarmKey { part_id, ..key(AlarmKind::DriftWarning) }, Some(AlarmCause::default()))
+    };
+    let mut conditions: Vec<_> = (0..2000).map(drift).collect();
+    scene.see(&conditions);
+    let listed = scene.list.alarms().len();
+    conditions.push(down());
+    assert_eq!(scene.see(&conditions), [AlarmStep::Raised]);
+    assert_eq!(scene.see(&conditions), [], "the other one does not come back");
+    let alarms = scene.list.alarms();
+    assert!(alarms.len() == listed && alarms.iter().any(|alarm| alarm.alarm == AlarmKind::LinkDown));
 }
 
 #[test]
@@ -146,7 +163,7 @@ fn list_is_bounded() {
     let mut scene = Scene::new();
     let gone = |number: usize| {
         let gateway = Some(format!("cell-{number}").parse().unwrap());
-        (AlarmKey { alarm: AlarmKind::GatewayGone, gripper: None, gateway }, Some(AlarmCause::default()))
+        (AlarmKey { alarm: AlarmKind::GatewayGone, gripper: None, gateway, part_id: None }, Some(AlarmCause::default()))
     };
     scene.see(&(0..1500).map(gone).collect::<Vec<_>>());
     assert_eq!(scene.list.alarms().len(), 1024);

@@ -92,14 +92,13 @@ pub(super) async fn reload(args: &ReloadArgs) -> anyhow::Result<Vec<String>> {
 
 /// Returns where a gateway with this configuration listens, as seen from its own host.
 fn url_of(config: Option<&Config>) -> anyhow::Result<Url> {
-    let Some(Config { listen, tls, .. }) = config else { return Ok("http://127.0.0.1:8080/".parse()?) };
-    let mut listen = *listen;
+    let Some(config) = config else { return Ok("http://127.0.0.1:8080/".parse()?) };
+    let mut listen = config.listen;
     if listen.ip().is_unspecified() {
         let loopback: IpAddr = if listen.is_ipv4() { Ipv4Addr::LOCALHOST.into() } else { Ipv6Addr::LOCALHOST.into() };
         listen.set_ip(loopback);
     }
-    let scheme = if tls.is_some() { "https" } else { "http" };
-    Ok(format!("{scheme}://{listen}/").parse()?)
+    Ok(format!("{}://{listen}/", config.scheme()).parse()?)
 }
 
 /// Trusts the certificates in a file, for the name in the first of them that is the host's, or else for the host.

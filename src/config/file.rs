@@ -9,7 +9,7 @@ use toml::Spanned;
 use super::journal::bounded;
 use super::{
     ConfigError, ConfigPlace, Content, DEFAULT_MOTION_PAUSE, GripperConfig, GripperContent, LONGEST_MOTION_PAUSE,
-    WsgPort, owned, parse_device,
+    WsgPort, modbus, owned, parse_device,
 };
 use crate::gripper::model::lease::{MAX_TTL, MIN_TTL};
 use crate::gripper::model::{CustomIds, LeaseRules, UpdateRules};
@@ -65,6 +65,7 @@ impl File {
                 motion_pause: self.motion_pause(gripper)?,
                 lease: self.lease_rules(gripper)?,
                 wsg_port: WsgPort::of_file(self, gripper)?,
+                modbus_unit: modbus::unit(self, gripper)?,
                 place,
             })
         };

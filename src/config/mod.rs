@@ -12,18 +12,21 @@ use std::time::Duration;
 
 use serde::Deserialize;
 use toml::Spanned;
-use url::{Position, Url};
+use url::Url;
 
-use crate::fleet::MAX_URL_BYTES;
 use crate::gripper::model::{
     CustomIds, LeaseRules, Name, OnJournalFailure, OnLossHolding, OnLossMoving, UpdateMode, UpdateRules,
 };
 use crate::transport::Address;
+use crate::wear::DriftLimits;
 use crate::webhooks::WebhookSettings;
 
 mod access;
+mod drift;
 mod file;
 mod journal;
+mod modbus;
+mod public_url;
 mod webhooks;
 mod wsg_port;
 mod zenoh;
@@ -31,6 +34,7 @@ mod zenoh;
 pub use access::{AccessConfig, Guarded, TlsConfig};
 pub use file::File;
 pub use journal::{JournalConfig, JournalFlags, JournalPlace};
+pub use modbus::Modbus;
 pub use wsg_port::{AcknowledgePolicy, WsgAddress, WsgPort};
 pub use zenoh::{Zenoh, ZenohFlags, ZenohMode};
 
@@ -79,6 +83,9 @@ pub struct Flags {
     /// Serve a gripper over the WSG protocol, e.g. left=127.0.0.1:1000 or left=udp://127.0.0.1:1500 (repeatable)
     #[arg(long = "wsg-port", value_name = "NAME=ADDR", env = "WSG_GATEWAY_WSG_PORTS", value_delimiter = ',')]
     pub wsg_ports: Vec<String>,
+    /// Serve all grippers over Modbus TCP, e.g. at 127.0.0.1:5020
+    #[arg(long, value_name = "ADDR", env = "WSG_GATEWAY_MODBUS")]
+    pub modbus: Option<String>,
     #[command(flatten)]
     pub zenoh: ZenohFlags,
     /// TOML file with these and all other settings
@@ -119,7 +126,11 @@ pub struct Config {
     pub grippers: Vec<GripperConfig>,
     /// Time for a running command to finish at shutdown.
     pub drain: Duration,
+    /// Drift limits of contact widths; `None` if drift is not watched.
+    pub drift: Option<DriftLimits>,
     pub journal: JournalConfig,
+    /// `None` if Modbus is off.
+    pub modbus: Option<Modbus>,
     /// `None` if Zenoh is off.
     pub zenoh: Option<Zenoh>,
     pub webhooks: Vec<WebhookSettings>,
@@ -140,6 +151,8 @@ pub struct GripperConfig {
     /// Lease terms that clients can choose.
     pub lease: LeaseRules,
     pub wsg_port: WsgPort,
+    /// Unit identifier on Modbus; `None` for any.
+    pub modbus_unit: Option<u8>,
     /// Place of the gripper's configuration.
     pub place: ConfigPlace,
 }
@@ -209,6 +222,12 @@ struct Placed<T> {
 }
 
 impl Config {
+    /// Scheme of the URLs that HTTP is served at.
+    #[must_use]
+    pub fn scheme(&self) -> &'static str {
+        if self.tls.is_some() { "https" } else { "http" }
+    }
+
     /// Merges the flags, which include the environment, with the file that they name.
     ///
     /// # Errors
@@ -253,38 +272,17 @@ impl Config {
             cors_origins: origins(file, "cors_origins", |content| &content.cors_origins)?,
             frame_ancestors: origins(file, "frame_ancestors", |content| &content.frame_ancestors)?,
             idle_timeout: idle_timeout(file)?,
-            public_url: public_url(file)?,
+            public_url: public_url::public_url(file)?,
             mdns: content.is_some_and(|content| content.mdns),
             grippers: grippers(flags, file, insecure)?,
             drain: drain(file)?,
+            drift: drift::limits(file)?,
+            modbus: Modbus::merge(flags, file, insecure || has_known_addresses(file))?,
             zenoh: Zenoh::merge(flags, file, insecure)?,
             webhooks: file.map(webhooks::settings).transpose()?.unwrap_or_default(),
         };
         Ok(config)
     }
-}
-
-fn public_url(file: Option<&File>) -> Result<Option<Url>, ConfigError> {
-    let Some((file, text)) = file.and_then(|file| Some((file, file.content.public_url.as_ref()?))) else {
-        return Ok(None);
-    };
-    let is_plain = |url: &Url| {
-        let is_bare = *url.authority() == url[Position::BeforeHost..Position::AfterPort]
-            && url.as_str().len() <= MAX_URL_BYTES
-            && url.query().is_none()
-            && url.fragment().is_none();
-        // The URL becomes a part of a Zenoh key, where an asterisk is a wildcard.
-        matches!(url.scheme(), "http" | "https") && is_bare && !url.as_str().contains('*')
-    };
-    let url = text.get_ref().parse().ok().filter(is_plain);
-    url.map(Some).ok_or_else(|| {
-        // The text can contain a password.
-        let detail = format!(
-            "public_url is not a URL that others can open: write at most {MAX_URL_BYTES} bytes without user, password, \
-             query and asterisk, such as https://cell-7.example:8080/"
-        );
-        ConfigError::at(&file.place(text.span().start), detail)
-    })
 }
 
 /// Returns a list of origins.
@@ -306,11 +304,14 @@ fn origins(
 }
 
 fn parse_listen(listen: &Placed<String>) -> Result<Placed<SocketAddr>, ConfigError> {
-    let value = listen.value.parse().map_err(|_| {
-        let detail = format!("{:?} is not an address to listen on: write 127.0.0.1:8080 or [::1]:8080", listen.value);
-        ConfigError::at(&listen.place, detail)
-    })?;
+    let value = parse_address(&listen.value, "127.0.0.1:8080 or [::1]:8080", &listen.place)?;
     Ok(Placed { value, place: listen.place.clone() })
+}
+
+/// Parses an address to listen on.
+fn parse_address(text: &str, example: &str, place: &ConfigPlace) -> Result<SocketAddr, ConfigError> {
+    text.parse()
+        .map_err(|_| ConfigError::at(place, format!("{text:?} is not an address to listen on: write {example}")))
 }
 
 fn drain(file: Option<&File>) -> Result<Duration, ConfigError> {
@@ -349,9 +350,8 @@ fn grippers(flags: &Flags, file: Option<&File>, insecure: bool) -> Result<Vec<Gr
     };
     wsg_port::take_flags(&mut configured, &flags.wsg_ports)?;
     // Without a list of networks, a port accepts only the clients that are known by their addresses.
-    let has_clients = file.is_some_and(|file| file.content.clients.iter().any(access::ClientContent::has_address));
     for gripper in &configured {
-        gripper.wsg_port.check(insecure || has_clients)?;
+        gripper.wsg_port.check(insecure || has_known_addresses(file))?;
     }
     for (index, gripper) in configured.iter().enumerate() {
         if let Some(detail) = configured[..index].iter().find_map(|other| conflict(other, gripper)) {
@@ -360,6 +360,11 @@ fn grippers(flags: &Flags, file: Option<&File>, insecure: bool) -> Result<Vec<Gr
     }
     share_lines(&mut configured);
     Ok(configured)
+}
+
+/// Whether the file names clients by their addresses.
+fn has_known_addresses(file: Option<&File>) -> bool {
+    file.is_some_and(|file| file.content.clients.iter().any(access::ClientContent::has_address))
 }
 
 /// Counts the grippers on each CAN bus, which share its capacity.
@@ -376,6 +381,9 @@ fn share_lines(grippers: &mut [GripperConfig]) {
 fn conflict(one: &GripperConfig, other: &GripperConfig) -> Option<String> {
     if one.name == other.name {
         return Some(format!("two grippers are named {:?}: give each its own name", one.name.as_str()));
+    }
+    if let Some(detail) = modbus::conflict(one, other) {
+        return Some(detail);
     }
     let (DeviceSource::At(address), DeviceSource::At(other_address)) = (&one.device, &other.device) else {
         return None;
@@ -397,6 +405,7 @@ fn parse_gripper(text: &str, place: &ConfigPlace) -> Result<GripperConfig, Confi
         motion_pause: DEFAULT_MOTION_PAUSE,
         lease: LeaseRules::default(),
         wsg_port: WsgPort::default(),
+        modbus_unit: None,
         place: place.clone(),
     })
 }
@@ -433,9 +442,13 @@ struct Content {
     journal_max_age_days: Option<Spanned<u64>>,
     journal_max_size_mb: Option<Spanned<u64>>,
     drain_ms: Option<Spanned<u64>>,
+    drift: Option<drift::DriftContent>,
     idle_timeout_s: Option<Spanned<u64>>,
     public_url: Option<Spanned<String>>,
     mdns: bool,
+    modbus: Option<Spanned<String>>,
+    modbus_allow: Option<Spanned<Vec<String>>>,
+    modbus_heartbeat_ms: Option<Spanned<u64>>,
     zenoh: zenoh::ZenohContent,
     webhooks: Vec<webhooks::WebhookContent>,
     grippers: std::collections::BTreeMap<Spanned<String>, GripperContent>,
@@ -460,6 +473,7 @@ struct GripperContent {
     #[serde(default)]
     wsg_port_acknowledge: AcknowledgePolicy,
     wsg_port_checksum_evaluation: Option<bool>,
+    modbus_unit: Option<Spanned<u64>>,
 }
 
 #[cfg(test)]

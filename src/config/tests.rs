@@ -1,4 +1,5 @@
 use super::*;
+use crate::wear::DEFAULT_DRIFT_LIMITS;
 
 fn flags() -> Flags {
     Flags::default()
@@ -37,6 +38,20 @@ fn motion_pause_is_50_ms_unless_set() {
     assert_eq!(pause(""), Ok(Duration::from_millis(50)));
     assert_eq!(pause("motion_pause_ms = 0"), Ok(Duration::ZERO));
     assert!(pause("motion_pause_ms = 1001").unwrap_err().contains("gateway.toml:3: motion_pause_ms is 1001"));
+}
+
+#[test]
+fn drift_limits_have_defaults_and_bounds() {
+    let drift = |keys: &str| {
+        let config = file(&format!("[drift]\n{keys}"));
+        config.map(|config| config.drift).map_err(|error| error.to_string())
+    };
+    assert_eq!(Config::load(&flags()).unwrap().drift, Some(DEFAULT_DRIFT_LIMITS));
+    assert_eq!(drift(""), Ok(Some(DEFAULT_DRIFT_LIMITS)));
+    assert_eq!(drift("sigmas = 4\nmin_mm = 0.2"), Ok(Some(DriftLimits { sigmas: 4.0, min_mm: 0.2 })));
+    assert_eq!(drift("warnings = false"), Ok(None));
+    assert!(drift("sigmas = 0.5").unwrap_err().contains("gateway.toml:2: sigmas is 0.5; it must be from 1 to 100"));
+    assert!(drift("min_mm = nan").unwrap_err().contains("min_mm is NaN"));
 }
 
 #[test]
@@ -249,8 +264,10 @@ fn packaged_file_has_every_key_with_a_valid_value() {
     let text: Vec<_> = keys.iter().copied().filter(|line| !names_a_file(line)).collect();
     let config = file(&text.join("\n")).unwrap();
     assert_eq!((config.grippers.len(), config.webhooks.len()), (1, 1));
-    let sections = ["zenoh", "webhooks", "grippers", "access", "clients", "tls"];
-    for section in ["", "[zenoh]\n", "[[webhooks]]\n", "[grippers.left]\n", "[access]\n", "[[clients]]\n", "[tls]\n"] {
+    let sections = ["drift", "zenoh", "webhooks", "grippers", "access", "clients", "tls"];
+    for section in
+        ["", "[drift]\n", "[zenoh]\n", "[[webhooks]]\n", "[grippers.left]\n", "[access]\n", "[[clients]]\n", "[tls]\n"]
+    {
         let error = file(&format!("{section}nonsense = 1")).unwrap_err().to_string();
         // The first quoted word is the wrong key.
         let quoted = error.split('`').enumerate().filter(|(index, _)| index % 2 == 1 && *index > 2);

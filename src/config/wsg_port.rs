@@ -90,7 +90,7 @@ impl WsgPort {
         };
         let addresses = texts.into_iter().map(|(text, place)| Ok((parse(text, &place)?, place)));
         let allow = match &gripper.wsg_port_allow {
-            Some(texts) => parse_nets(texts.get_ref(), &file.place(texts.span().start))?,
+            Some(texts) => parse_nets("wsg_port_allow", texts.get_ref(), &file.place(texts.span().start))?,
             None => Vec::new(),
         };
         Ok(Self {
@@ -190,9 +190,10 @@ fn parse_address(text: &str) -> Result<WsgAddress, String> {
     }
 }
 
-fn parse_nets(texts: &[String], place: &ConfigPlace) -> Result<Vec<IpNet>, ConfigError> {
+/// Parses a list of networks.
+pub(super) fn parse_nets(key: &str, texts: &[String], place: &ConfigPlace) -> Result<Vec<IpNet>, ConfigError> {
     if texts.is_empty() {
-        let detail = "wsg_port_allow is empty: list the allowed networks, or remove it if the port is on loopback";
+        let detail = format!("{key} is empty: list the allowed networks, or remove it if the port is on loopback");
         return Err(ConfigError::at(place, detail));
     }
     let parse = |text: &String| {

@@ -41,7 +41,7 @@ const SOCKET_BYTES: u64 = 64 * 1024;
 const MAX_SESSIONS: u64 = 256;
 
 /// Protocols that this build supports.
-const PROTOCOLS: &[&str] = &["tcp", "tls"];
+const PROTOCOLS: &[&str] = &["quic", "tcp", "tls"];
 
 /// Role of the gateway on a Zenoh network.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, clap::ValueEnum)]
@@ -173,7 +173,14 @@ impl Zenoh {
         let mutual_tls = self.setting("transport/link/tls/enable_mtls") == true;
         let denies = self.setting("access_control/default_permission") == "deny";
         (self.setting("access_control/enabled") == true && denies)
-            || (mutual_tls && exposed.all(|endpoint| endpoint.starts_with("tls/")) && self.looks_for().is_none())
+            || (mutual_tls && exposed.all(|endpoint| keeps_mutual_tls(endpoint)) && self.looks_for().is_none())
+    }
+
+    /// Returns the endpoints whose links Zenoh 1.10 can break: it reads and writes one TLS connection in two threads
+    /// without a shared lock (eclipse-zenoh/zenoh issue 2557). QUIC is not affected.
+    pub fn tls_endpoints(&self) -> Vec<&str> {
+        let all = self.listen.iter().chain(&self.connect).map(String::as_str);
+        all.filter(|endpoint| has_protocol(endpoint, &["tls"])).collect()
     }
 
     /// Returns the setting by which Zenoh finds others whose addresses are not configured, if one is on.
@@ -290,10 +297,9 @@ fn endpoints(
         }
     };
     for endpoint in &endpoints {
-        let parsed = endpoint.parse::<EndPoint>();
-        if !parsed.as_ref().is_ok_and(|parsed| PROTOCOLS.contains(&parsed.protocol().as_str())) {
+        if !has_protocol(endpoint, PROTOCOLS) {
             let detail =
-                format!("{endpoint:?} is not a Zenoh endpoint: write {DEFAULT_LISTEN} or tls/cell-7.example:7447");
+                format!("{endpoint:?} is not a Zenoh endpoint: write {DEFAULT_LISTEN} or quic/cell-7.example:7447");
             return Err(ConfigError::at(&place, detail));
         }
     }
@@ -308,6 +314,16 @@ fn texts(value: &Value) -> Vec<String> {
         Value::Object(members) => members.values().flat_map(texts).collect(),
         _ => Vec::new(),
     }
+}
+
+fn has_protocol(endpoint: &str, protocols: &[&str]) -> bool {
+    endpoint.parse::<EndPoint>().is_ok_and(|parsed| protocols.contains(&parsed.protocol().as_str()))
+}
+
+/// Whether links of this endpoint use `transport/link/tls`, and its own parameters do not switch mutual TLS off.
+fn keeps_mutual_tls(endpoint: &str) -> bool {
+    let own = |endpoint: EndPoint| endpoint.config().get("enable_mtls").is_none_or(|value| value == "true");
+    has_protocol(endpoint, &["quic", "tls"]) && endpoint.parse().is_ok_and(own)
 }
 
 fn is_loopback(endpoint: &str) -> bool {

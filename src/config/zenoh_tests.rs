@@ -57,10 +57,11 @@ fn zenoh_can_be_off_and_client_needs_an_endpoint() {
 
 #[test]
 fn non_loopback_endpoint_needs_credentials_or_insecure() {
-    for endpoint in ["tcp/127.0.0.1:7447", "tcp/[::1]:0", "tcp/localhost:7447", "tls/127.1.2.3:7447"] {
+    let inside = ["tcp/127.0.0.1:7447", "tcp/[::1]:0", "tcp/localhost:7447", "tls/127.1.2.3:7447", "quic/[::1]:7447"];
+    for endpoint in inside {
         assert!(load(&listening(endpoint)).is_ok(), "{endpoint}");
     }
-    for endpoint in ["tcp/0.0.0.0:7447", "tcp/[::]:7447", "tcp/192.168.1.5:7447", "tcp/cell-7.example:7447"] {
+    for endpoint in ["tcp/0.0.0.0:7447", "tcp/[::]:7447", "tcp/192.168.1.5:7447", "quic/cell-7.example:7447"] {
         let error = load(&listening(endpoint)).unwrap_err();
         assert!(error.starts_with("--zenoh-listen: ") && error.contains("--insecure"), "{error}");
         assert!(load(&Flags { insecure: true, ..listening(endpoint) }).is_ok());
@@ -128,11 +129,24 @@ fn zenoh_file_beyond_loopback_needs_credentials() {
     for file in [
         "{listen: {endpoints: ['tcp/0.0.0.0:7447']}, access_control: {enabled: true, default_permission: 'deny', rules: [], subjects: [], policies: []}}",
         "{listen: {endpoints: ['tls/0.0.0.0:7447']}, transport: {link: {tls: {enable_mtls: true}}}}",
+        "{listen: {endpoints: ['quic/0.0.0.0:7447']}, transport: {link: {tls: {enable_mtls: true}}}}",
     ] {
         of_files("credentials", file, "", &flags()).unwrap();
     }
+    assert!(refused("one-way", "{listen: {endpoints: ['quic/0.0.0.0:7447']}}").contains("quic/0.0.0.0:7447"));
+    let own =
+        "{listen: {endpoints: ['quic/0.0.0.0:7447#enable_mtls=false']}, transport: {link: {tls: {enable_mtls: true}}}}";
+    assert!(refused("own", own).contains("enable_mtls=false"));
     let only_tls = "{listen: {endpoints: ['tcp/0.0.0.0:7447']}, transport: {link: {tls: {enable_mtls: true}}}}";
     assert!(refused("mixed", only_tls).contains("tcp/0.0.0.0:7447"));
+}
+
+#[test]
+fn only_tls_endpoints_are_warned_about() {
+    let listen = ["tcp/127.0.0.1:1", "tls/127.0.0.1:2", "quic/127.0.0.1:3"].map(str::to_owned).to_vec();
+    let zenoh_connect = vec!["tls/127.0.0.1:4".to_owned()];
+    let zenoh = ZenohFlags { zenoh_listen: listen, zenoh_connect, ..ZenohFlags::default() };
+    assert_eq!(load(&Flags { zenoh, ..flags() }).unwrap().tls_endpoints(), ["tls/127.0.0.1:2", "tls/127.0.0.1:4"]);
 }
 
 #[test]

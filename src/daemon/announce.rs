@@ -8,11 +8,16 @@ use crate::config::Config;
 use crate::gripper::model::Name;
 
 /// Prints what is served, where, and what to try. Ignores write errors, since nobody may be reading.
-pub(super) fn announce(config: &Config, address: SocketAddr, ports: &[BoundPort]) -> std::io::Result<()> {
+pub(super) fn announce(
+    config: &Config,
+    address: SocketAddr,
+    ports: &[BoundPort],
+    modbus: Option<SocketAddr>,
+) -> std::io::Result<()> {
     let urls =
-        ports.iter().map(|port| Ok((&port.gripper, port.listener.url()?))).collect::<std::io::Result<Vec<_>>>()?;
+        ports.iter().map(|port| Ok((port.gripper(), port.listener.url()?))).collect::<std::io::Result<Vec<_>>>()?;
     let mut out = std::io::stdout().lock();
-    let _ = write_announcement(config, address, &urls, &mut out).and_then(|()| out.flush());
+    let _ = write_announcement(config, (address, modbus), &urls, &mut out).and_then(|()| out.flush());
     Ok(())
 }
 
@@ -26,18 +31,20 @@ pub(super) fn announce_zenoh(locators: &[String]) {
 
 fn write_announcement(
     config: &Config,
-    address: SocketAddr,
+    (address, modbus): (SocketAddr, Option<SocketAddr>),
     ports: &[(&Name, String)],
     out: &mut impl Write,
 ) -> std::io::Result<()> {
-    let scheme = if config.tls.is_some() { "https" } else { "http" };
-    let base = format!("{scheme}://{address}");
+    let base = format!("{}://{address}", config.scheme());
     writeln!(out, "wsg-gateway {} serves {} at {base}/", env!("CARGO_PKG_VERSION"), config.name)?;
     for gripper in &config.grippers {
         writeln!(out, "  {:<8} {}", gripper.name.as_str(), gripper.device)?;
     }
     for (name, url) in ports {
         writeln!(out, "WSG port of {name}: {url}")?;
+    }
+    if let Some(address) = modbus {
+        writeln!(out, "Modbus: {address}")?;
     }
     writeln!(out, "documentation: {base}/docs")?;
     writeln!(out, "guides: {base}/docs/guide")?;

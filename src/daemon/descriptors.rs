@@ -30,7 +30,7 @@ pub(super) struct Shares {
     pub(super) limit: usize,
     /// Descriptors of all HTTP connections.
     pub(super) http: usize,
-    /// Descriptors of each WSG port's TCP connections.
+    /// Descriptors of each WSG port's TCP connections, and of Modbus.
     pub(super) wsg_port: usize,
 }
 
@@ -93,10 +93,11 @@ impl Shares {
     }
 }
 
-/// Returns the descriptors that the gateway itself needs, and the number of WSG ports with TCP clients.
+/// Returns the descriptors that the gateway itself needs, and the number of WSG ports with TCP clients. Modbus is one more.
 fn needs(config: &Config) -> (usize, usize) {
     let addresses = config.grippers.iter().flat_map(|gripper| &gripper.wsg_port.addresses);
-    let ports = addresses.filter(|(address, _)| matches!(address, WsgAddress::Tcp(_))).count();
+    let tcp_ports = addresses.filter(|(address, _)| matches!(address, WsgAddress::Tcp(_))).count();
+    let ports = tcp_ports + usize::from(config.modbus.is_some());
     let zenoh = if config.zenoh.is_some() { OF_ZENOH } else { 0 };
     let links = config.grippers.iter().filter(|gripper| matches!(gripper.device, DeviceSource::At(_))).count();
     let mdns = if config.mdns { OF_MDNS } else { 0 };

@@ -32,8 +32,7 @@ impl Announcement {
     }
 
     fn announce(config: &Config, address: SocketAddr) -> mdns_sd::Result<Self> {
-        let scheme = if config.tls.is_some() { "https" } else { "http" };
-        let properties = [("version", env!("CARGO_PKG_VERSION")), ("scheme", scheme), ("path", "/")];
+        let properties = [("version", env!("CARGO_PKG_VERSION")), ("scheme", config.scheme()), ("path", "/")];
         let name = config.name.as_str();
         // The addresses are those of the interfaces that are up, now or later.
         let service = ServiceInfo::new(SERVICE, name, &host(), (), address.port(), &properties[..])?.enable_addr_auto();

@@ -6,6 +6,7 @@ mod grippers;
 mod listen;
 mod mdns;
 mod metrics;
+mod modbus;
 mod ports;
 mod reload;
 mod runtimes;
@@ -40,11 +41,14 @@ use crate::journal::{self, Journal, Recovered};
 use crate::operations::audit::Audit;
 use crate::operations::readiness::EXPOSED;
 use crate::operations::{Gateway, Reloads};
+use crate::recipes::Recipes;
 use crate::trends::Trends;
+use crate::wear::Wear;
 use crate::webhooks::{WebhookContext, Webhooks};
 use descriptors::Shares;
 use grippers::RunningGrippers;
 use mdns::Announcement;
+use modbus::BoundModbus;
 use ports::{PortContext, Ports};
 use reload::Reloader;
 pub use simulation::{ServedDevice, SimulatedDevice, Switch, serve as serve_device};
@@ -137,7 +141,7 @@ impl RunningGateway {
     async fn end(self) -> anyhow::Result<()> {
         // A reload under way is finished first, so that no gripper is left behind.
         self.stopping.cancel();
-        let Reloader { ports, listener, announcement, .. } = self.reloading.await?;
+        let Reloader { ports, modbus, listener, announcement, .. } = self.reloading.await?;
         let withdrawn = announcement.map(|announcement| tokio::spawn(announcement.withdraw()));
         tracing::info!("shutting down: draining grippers");
         self.draining.cancel();
@@ -150,6 +154,9 @@ impl RunningGateway {
         }
         self.webhooks.ended().await;
         ports.ended().await?;
+        if let Some(modbus) = modbus {
+            modbus.ended().await?;
+        }
         if let Some(withdrawn) = withdrawn {
             withdrawn.await?;
         }
@@ -176,6 +183,7 @@ async fn start(
     let listener = listen_http(&config, &clients.accept)?;
     let address = listener.local_addr()?;
     let ports = ports::bind(&config, shares.wsg_port)?;
+    let modbus = modbus::bind(&config, shares.wsg_port)?;
     let settings = http::SharedSettings::new(settings::of_http(&config, None)?);
     let access = Arc::new(Access::new(settings::of_access(&config)?));
     if access.is_exposed() {
@@ -200,11 +208,11 @@ async fn start(
         runtime: &clients.observers,
     };
     let webhooks = Arc::new(Webhooks::start(&config.webhooks, &webhook_context)?);
+    let wear = watch_wear(&config, &journal, &recovered, &clients.observers, &shutdown);
     let alarms = Arc::new(Alarms::new(config.name.clone(), journal.clone(), &recovered.memory));
     // The links that draining closes are no alarms.
-    clients.observers.spawn(alarms.clone().watch(grippers.clone(), peers.clone(), draining.clone()));
-    let trends = Arc::new(Trends::default());
-    clients.observers.spawn(trends.clone().watch(grippers.clone(), draining.clone()));
+    clients.observers.spawn(alarms.clone().watch(grippers.clone(), peers.clone(), wear.clone(), draining.clone()));
+    let recipes = Arc::new(Recipes::new(config.name.clone(), journal.clone(), &recovered.memory));
     let (reloads, reload_requests) = Reloads::channel();
     let gateway = Arc::new(Gateway {
         name: config.name.clone(),
@@ -213,9 +221,11 @@ async fn start(
         audit: audit.clone(),
         peers: peers.clone(),
         alarms: alarms.clone(),
+        recipes,
+        wear: wear.clone(),
         updates: Arc::new(LiveUpdates::new(grippers.clone(), journal.clone(), peers, alarms)),
         webhooks: webhooks.clone(),
-        trends: trends.clone(),
+        trends: watch_trends(&grippers, &clients.observers, &draining),
         access: access.clone(),
         reloads,
     });
@@ -233,7 +243,11 @@ async fn start(
     let limits = http::ServerLimits::within(Bounds::of(shares.http));
     let (listener, listeners) = watch::channel(Arc::new(listener));
     let server = clients.accept.spawn(http::serve(listeners, context.clone(), limits, shutdown.clone()));
-    announce::announce(&config, address, &ports)?;
+    let modbus_address = modbus.as_ref().map(BoundModbus::address).transpose()?;
+    announce::announce(&config, address, &ports, modbus_address)?;
+    let tokens = (draining.clone(), shutdown.clone());
+    let serve = |modbus: BoundModbus| modbus.serve(&config, &context, runtimes.devices.handle(), tokens);
+    let modbus = modbus.map(serve).transpose()?.flatten();
     // Zenoh has a task of its own, so the rest continues whatever happens to Zenoh.
     let zenoh =
         on_zenoh.map(|(settings, context)| tokio::spawn(zenoh::serve(settings, context, announce::announce_zenoh)));
@@ -253,15 +267,35 @@ async fn start(
         journal: journal.clone(),
         access,
         settings,
+        wear,
         listener,
         announcement,
         accept: clients.accept.clone(),
         grippers: running,
         ports: Ports::serve(ports, grippers.clone(), port_context),
+        modbus,
     };
     let stopping = CancellationToken::new();
     let reloading = tokio::spawn(reloader.run(reload_requests, hang_up, stopping.clone()));
     Ok(RunningGateway { reloading, server, zenoh, grippers, webhooks, audit, journal, stopping, draining, shutdown })
+}
+
+fn watch_wear(
+    config: &Config,
+    journal: &Journal,
+    recovered: &Recovered,
+    runtime: &Handle,
+    closing: &CancellationToken,
+) -> Arc<Wear> {
+    let wear = Arc::new(Wear::new(journal.clone(), config.drift, &recovered.memory));
+    runtime.spawn(wear.clone().watch(journal.subscribe_grips(), closing.clone()));
+    wear
+}
+
+fn watch_trends(grippers: &Grippers, runtime: &Handle, closing: &CancellationToken) -> Arc<Trends> {
+    let trends = Arc::new(Trends::default());
+    runtime.spawn(trends.clone().watch(grippers.clone(), closing.clone()));
+    trends
 }
 
 fn open_journal(config: &Config) -> Result<(Journal, Recovered), journal::OpenError> {
@@ -322,6 +356,12 @@ fn zenoh_settings(
     zenoh: &config::Zenoh,
     context: &http::HttpContext,
 ) -> anyhow::Result<(zenoh::ZenohSettings, interfaces::Context)> {
+    for endpoint in zenoh.tls_endpoints() {
+        tracing::warn!(
+            endpoint,
+            "TLS on Zenoh can break connections and crash the gateway: use quic/ in place of tls/"
+        );
+    }
     let network = &context.gateway.peers;
     metrics::register_zenoh(&context.registry, network)?;
     let (config, listen, connect) = (zenoh.settings.clone(), zenoh.listen.clone(), zenoh.connect.clone());

@@ -17,7 +17,6 @@ use crate::operations::audit::Audit;
 
 /// A bound port that is not served yet.
 pub(super) struct BoundPort {
-    pub(super) gripper: Name,
     pub(super) listener: Listener,
     configured: ConfiguredPort,
     /// Descriptors for the port's TCP clients.
@@ -102,12 +101,16 @@ impl ConfiguredPort {
 }
 
 impl BoundPort {
+    pub(super) fn gripper(&self) -> &Name {
+        &self.configured.gripper
+    }
+
     fn bind(configured: ConfiguredPort, place: &ConfigPlace, descriptors: usize) -> anyhow::Result<Self> {
         let ConfiguredPort { gripper, address, .. } = &configured;
         let listener = Listener::bind(*address).map_err(|error| {
             listen::failed(format_args!("{place}: the WSG port of {gripper} cannot listen on {address}"), error)
         })?;
-        Ok(Self { gripper: gripper.clone(), listener, configured, descriptors })
+        Ok(Self { listener, configured, descriptors })
     }
 }
 
@@ -120,7 +123,7 @@ impl Ports {
         this
     }
 
-    fn start(&mut self, BoundPort { listener, configured, descriptors, .. }: BoundPort) {
+    fn start(&mut self, BoundPort { listener, configured, descriptors }: BoundPort) {
         let Some(handle) = self.grippers.get(&configured.gripper) else { return };
         let PortContext { devices, audit, access, metrics, draining, closing } = &self.context;
         metrics.serves(configured.gripper.as_str());
@@ -161,9 +164,8 @@ impl Ports {
             let next = changes.configured.iter().find(|port| port.is_same_socket(&configured));
             match (listener, next.cloned()) {
                 (Ok(listener), Some(configured)) => {
-                    let gripper = configured.gripper.clone();
                     let listener = listener.with_settings_of(configured.address);
-                    free.push(BoundPort { gripper, listener, configured, descriptors });
+                    free.push(BoundPort { listener, configured, descriptors });
                 }
                 (Err(error), _) => tracing::error!(gripper = %configured.gripper, %error, "WSG port failed"),
                 (Ok(_), None) => {}

@@ -1,5 +1,6 @@
 //! Reading the configuration again while the gateway runs: all of it is prepared before any of it is applied.
 
+use std::net::SocketAddr;
 use std::sync::Arc;
 
 use tokio::net::TcpListener;
@@ -11,6 +12,7 @@ use tokio_util::sync::CancellationToken;
 use super::descriptors::Shares;
 use super::grippers::{GripperDifferences, RunningGrippers};
 use super::mdns::Announcement;
+use super::modbus::ServedModbus;
 use super::ports::{PortChanges, Ports};
 use super::{listen, settings, systemd};
 use crate::access::{Access, AccessRules};
@@ -21,6 +23,7 @@ use crate::gripper::recorder::{Record, Recorder as _};
 use crate::interfaces::http::{self, HttpSettings, SharedSettings};
 use crate::journal::{Journal, Recovered};
 use crate::operations::ReloadRequest;
+use crate::wear::Wear;
 
 /// The parts of the gateway that a reload changes.
 pub(super) struct Reloader {
@@ -30,6 +33,7 @@ pub(super) struct Reloader {
     pub(super) journal: Journal,
     pub(super) access: Arc<Access>,
     pub(super) settings: SharedSettings,
+    pub(super) wear: Arc<Wear>,
     pub(super) listener: watch::Sender<Arc<TcpListener>>,
     /// `None` if the gateway is not announced by mDNS.
     pub(super) announcement: Option<Announcement>,
@@ -37,6 +41,8 @@ pub(super) struct Reloader {
     pub(super) accept: RuntimeHandle,
     pub(super) grippers: RunningGrippers,
     pub(super) ports: Ports,
+    /// `None` if Modbus is off.
+    pub(super) modbus: Option<ServedModbus>,
 }
 
 /// Everything that a new configuration needs. Applying it cannot fail.
@@ -118,7 +124,11 @@ impl Reloader {
             Config::load(&flags).and_then(|config| super::check(&config).map(|()| config))
         });
         let config = loaded.await.map_err(|error| ReloadError::Unusable(error.into()))??;
-        let fixed = fixed(&self.config, &config);
+        let mut fixed = fixed(&self.config, &config);
+        // A program must not find another gripper at the same unit.
+        if self.modbus.as_ref().is_some_and(|modbus| modbus.has_other_units(&config)) {
+            fixed.push("the Modbus units of grippers");
+        }
         if !fixed.is_empty() {
             return Err(ReloadError::NeedsRestart(fixed));
         }
@@ -150,6 +160,7 @@ impl Reloader {
         self.shares.wsg_port = self.shares.wsg_port.max(of_a_port);
         self.access.replace(access);
         self.settings.replace(settings);
+        self.wear.set_limits(config.drift);
         if let Some(listener) = listener {
             self.listener.send_replace(Arc::new(listener));
         }
@@ -158,6 +169,9 @@ impl Reloader {
         self.grippers.apply(&config, grippers, &recovered).await?;
         let free = self.ports.end_changed(&ports, &affected).await;
         self.ports.start_changed(free, ports);
+        if let Some(modbus) = &mut self.modbus {
+            modbus.reconfigure(&config, &self.access);
+        }
         let announced = |config: &Config| (config.mdns, config.listen);
         let is_missing = config.mdns && self.announcement.is_none();
         if is_missing || announced(&config) != announced(&self.config) {
@@ -181,6 +195,7 @@ fn fixed(before: &Config, after: &Config) -> Vec<&'static str> {
         ("name", before.name != after.name),
         ("the journal's path and limits", journal(before) != journal(after)),
         ("public_url", before.public_url != after.public_url),
+        ("modbus", modbus_address(before) != modbus_address(after)),
         ("zenoh", before.zenoh != after.zenoh),
         ("webhooks", before.webhooks != after.webhooks),
         // Open connections began under the other rule.
@@ -190,6 +205,16 @@ fn fixed(before: &Config, after: &Config) -> Vec<&'static str> {
         ("the grippers of the file to the default ones", !has_defaults(before) && has_defaults(after)),
     ];
     differs.into_iter().filter(|(_, differs)| *differs).map(|(name, _)| name).collect()
+}
+
+/// Whether the settings of Modbus differ, wherever they stand in the file.
+fn has_other_modbus(before: &Config, after: &Config) -> bool {
+    let settings = |config: &Config| config.modbus.as_ref().map(|modbus| (modbus.allow.clone(), modbus.heartbeat));
+    settings(before) != settings(after) || before.modbus.is_some() && before.modbus_units() != after.modbus_units()
+}
+
+fn modbus_address(config: &Config) -> Option<SocketAddr> {
+    config.modbus.as_ref().map(|modbus| modbus.address)
 }
 
 /// Describes the changes in words.
@@ -212,7 +237,9 @@ fn differences(before: &Config, after: &Config, grippers: &GripperDifferences) -
         ("hosts", before.hosts != after.hosts),
         ("cors_origins", before.cors_origins != after.cors_origins),
         ("frame_ancestors", before.frame_ancestors != after.frame_ancestors),
+        ("Modbus", has_other_modbus(before, after)),
         ("idle_timeout_s", before.idle_timeout != after.idle_timeout),
+        ("drift", before.drift != after.drift),
         ("mdns", before.mdns != after.mdns),
         ("access and clients", before.access != after.access),
         ("tls", before.tls != after.tls),

@@ -1,4 +1,5 @@
-//! Requests to other gateways: run an operation on one of their grippers, and return the answer unchanged.
+//! Requests to other gateways: run an operation of the gateway or of one of its grippers, and return the answer
+//! unchanged.
 
 use std::convert::Infallible;
 use std::fmt;
@@ -66,7 +67,8 @@ const MAX_REPLY_BYTES: usize = 1 << 20;
 #[derive(Clone)]
 pub struct Ask {
     pub gateway: Name,
-    pub gripper: Name,
+    /// The gripper; `None` for an operation of the gateway as a whole.
+    pub gripper: Option<Name>,
     /// Method name of the operation.
     pub method: &'static str,
     pub params: Value,
@@ -83,6 +85,7 @@ pub struct Ask {
 impl fmt::Debug for Ask {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { gateway, gripper, method, .. } = self;
+        let gripper = gripper.as_ref().map_or("", Name::as_str);
         f.debug_struct("Ask").field("to", &format_args!("{gateway}/{gripper}/{method}")).finish_non_exhaustive()
     }
 }
@@ -113,13 +116,12 @@ pub enum NoAnswer {
 }
 
 impl Peers {
-    /// Sends a request to the gateway that owns a gripper, and waits for its answer. Keeps the named lease during the
-    /// wait, and no longer.
+    /// Sends a request to a gateway, and waits for its answer. Keeps the named lease during the wait, and no longer.
     ///
     /// # Errors
     /// [`NoAnswer`], which says whether anything was sent.
     pub async fn ask(&self, ask: Ask) -> Result<Asked, NoAnswer> {
-        match self.others().has_lost(&ask.gateway, &ask.gripper, Now::read().instant) {
+        match self.others().has_lost(&ask.gateway, ask.gripper.as_ref(), Now::read().instant) {
             None => return Err(NoAnswer::Unknown),
             // A motion must not wait for the gateway to come back. A stop is worth the attempt, and so is a lease.
             Some(true) if ask.urgency == Urgency::None => return Err(NoAnswer::Gone),
@@ -171,7 +173,7 @@ impl Peers {
     }
 
     async fn send(&self, ask: Ask) -> Result<Asked, NoAnswer> {
-        let key = ZenohKeys::of(&ask.gateway).gripper(&ask.gripper, &format!("command/{}", ask.method));
+        let key = ZenohKeys::of(&ask.gateway).command(ask.gripper.as_ref(), ask.method);
         let subject = ("client", format!("{}/{}", self.gateway, ask.client.subject));
         let wait_ms = ask.wait.map(|wait| ("wait_ms", wait.as_millis().to_string()));
         let parameters = [subject].into_iter().chain(wait_ms).chain(ask.aside);
@@ -358,8 +360,16 @@ mod tests {
         let ask = |method: &'static str| {
             let client = Client::new("anna", Door::Http);
             let (gateway, gripper, urgency) = (name("cell-1"), name("left"), urgency(method));
-            let ask =
-                Ask { gateway, gripper, method, params: json!({}), wait: None, aside: Vec::new(), client, urgency };
+            let ask = Ask {
+                gateway,
+                gripper: Some(gripper),
+                method,
+                params: json!({}),
+                wait: None,
+                aside: Vec::new(),
+                client,
+                urgency,
+            };
             network.ask(ask)
         };
         // An attempt to send fails with this error, since Zenoh is off.

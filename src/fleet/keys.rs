@@ -8,6 +8,9 @@ pub const ROOT: &str = "wsg/v1";
 /// Key at which a put stops the grippers of all gateways.
 pub const FAST_STOP_OF_ALL: &str = "wsg/v1/fast-stop";
 
+/// Part of the keys of commands.
+pub const COMMAND: &str = "command";
+
 /// The keys of one gateway.
 #[derive(Debug, Clone)]
 pub struct ZenohKeys {
@@ -21,10 +24,17 @@ impl ZenohKeys {
     }
 
     /// Returns a key of the gateway itself: `fast-stop`, `fleet`, `event`, `alive`, `instance/…`, `dashboard/…`,
-    /// `client/…`.
+    /// `client/…`, `command/…`.
     #[must_use]
     pub fn own(&self, what: &str) -> String {
         format!("{ROOT}/{}/{what}", self.gateway)
+    }
+
+    /// Returns the key of a command of a gripper, or of the gateway itself.
+    #[must_use]
+    pub fn command(&self, gripper: Option<&Name>, method: &str) -> String {
+        let what = format!("{COMMAND}/{method}");
+        gripper.map_or_else(|| self.own(&what), |gripper| self.gripper(gripper, &what))
     }
 
     /// Returns a key of one gripper: `state`, `telemetry`, `event`, `info`, `alive`, `command/…`.

@@ -133,11 +133,9 @@ impl Others {
 
     /// Takes the URL of a gateway's dashboard. Only web pages are accepted, since people open it.
     pub(super) fn take_dashboard(&mut self, gateway: Name, url: &str, is_alive: bool) {
-        let Some(url) = Some(url).filter(|url| url.len() <= MAX_URL_BYTES).and_then(|url| url.parse().ok()) else {
-            return;
-        };
+        let Some(url) = parse_dashboard(url) else { return };
         let has_room = self.dashboards.len() < MAX_GATEWAYS || self.dashboards.contains_key(&gateway);
-        if is_alive && has_room && is_web(&url) {
+        if is_alive && has_room {
             self.dashboards.insert(gateway, url);
         } else if !is_alive && self.dashboards.get(&gateway) == Some(&url) {
             // The withdrawal of an older URL can come after the newer one.
@@ -166,10 +164,10 @@ impl Others {
     }
 
     /// Whether the gateway that owns this gripper, or would own it, is gone; `None` if the gateway is unknown.
-    pub(super) fn has_lost(&self, gateway: &Name, gripper: &Name, now: Instant) -> Option<bool> {
+    pub(super) fn has_lost(&self, gateway: &Name, gripper: Option<&Name>, now: Instant) -> Option<bool> {
         let mut known =
             self.grippers.iter().filter(|((name, _), _)| name == gateway).map(|(_, known)| known).peekable();
-        match self.grippers.get(&(gateway.clone(), gripper.clone())) {
+        match gripper.and_then(|gripper| self.grippers.get(&(gateway.clone(), gripper.clone()))) {
             Some(known) => Some(self.is_gone(gateway, known, now)),
             None if known.peek().is_some() => Some(known.all(|known| self.is_gone(gateway, known, now))),
             None => self.alive.contains(gateway).then_some(false),
@@ -228,9 +226,13 @@ impl Others {
     }
 }
 
-/// Whether a URL is that of a web page.
-fn is_web(url: &Url) -> bool {
-    matches!(url.scheme(), "http" | "https")
+/// Parses the URL of a dashboard; returns `None` if it is too long or not that of a web page.
+#[must_use]
+pub fn parse_dashboard(text: &str) -> Option<Url> {
+    let url: Url = Some(text).filter(|text| text.len() <= MAX_URL_BYTES)?.parse().ok()?;
+    let is_web = matches!(url.scheme(), "http" | "https");
+    // Escaped characters are longer.
+    (is_web && url.as_str().len() <= MAX_URL_BYTES).then_some(url)
 }
 
 #[cfg(test)]
@@ -256,7 +258,7 @@ mod tests {
         others.take_token(name("cell-1"), true);
         others.take_state(name("cell-1"), name("left"), report(false));
         let now = Instant::now();
-        let lost = |others: &Others, gateway, gripper, now| others.has_lost(&name(gateway), &name(gripper), now);
+        let lost = |others: &Others, gateway, gripper, now| others.has_lost(&name(gateway), Some(&name(gripper)), now);
         assert_eq!(gone(&others, now), [false]);
         assert_eq!(gone(&others, now + GONE_AFTER), [true]);
         for gripper in ["left", "right"] {

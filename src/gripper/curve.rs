@@ -44,11 +44,22 @@ impl MotionCurve {
         self.samples.iter().map(|sample| sample.force_n).max_by(|a, b| a.abs().total_cmp(&b.abs()))
     }
 
-    /// First sample with at least [`CONTACT_SHARE`] of the peak force.
+    /// First of the samples with at least [`CONTACT_SHARE`] of the peak force that lead to the peak without a gap: an
+    /// earlier, separate force came from friction.
     pub(super) fn contact(&self) -> Option<Contact> {
-        let threshold = self.peak_force_n().map(f32::abs).filter(|peak| *peak > 0.0)? * CONTACT_SHARE;
-        let first = self.samples.iter().find(|sample| sample.force_n.abs() >= threshold)?;
+        let force = |sample: &Sample| sample.force_n.abs();
+        let peak = self.samples.iter().map(force).max_by(f32::total_cmp).filter(|peak| *peak > 0.0)?;
+        let at_peak = self.samples.iter().position(|sample| force(sample) >= peak)?;
+        let leading = self.samples[..=at_peak].iter().rev();
+        let first = leading.take_while(|sample| force(sample) >= peak * CONTACT_SHARE).last()?;
         Some(Contact { width_mm: first.width_mm, after_ms: first.t_ms.into() })
+    }
+
+    /// Distance that the fingers moved relative to each other, back and forth, in mm with two
+    /// decimals.
+    pub(super) fn travel_mm(&self) -> f32 {
+        let ways = self.samples.windows(2).map(|pair| f64::from(pair[1].width_mm - pair[0].width_mm).abs());
+        ((ways.sum::<f64>() * 100.0).round() / 100.0) as f32
     }
 
     pub(super) fn into_samples(self) -> Vec<Sample> {
@@ -68,7 +79,17 @@ mod tests {
         }
         assert_eq!(curve.contact(), Some(Contact { width_mm: 20.0, after_ms: 20 }));
         assert_eq!(curve.peak_force_n(), Some(40.0));
+        assert_eq!(curve.travel_mm().to_string(), "10.1");
         assert_eq!(curve.into_samples().len(), 4);
+    }
+
+    #[test]
+    fn friction_before_the_contact_is_no_contact() {
+        let (mut curve, start) = (MotionCurve::default(), Instant::now());
+        for (index, (width, force)) in [(30.0, 6.0), (25.0, 0.5), (20.0, 8.0), (19.9, 40.0)].into_iter().enumerate() {
+            curve.take(start + Duration::from_millis(10 * index as u64), width, 50.0, force);
+        }
+        assert_eq!(curve.contact(), Some(Contact { width_mm: 20.0, after_ms: 20 }));
     }
 
     #[test]

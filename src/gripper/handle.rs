@@ -147,13 +147,6 @@ impl Ticket {
         let _ = self.record.wait_for(|command| command.recorded).await;
     }
 
-    /// Whether the command has changed since the last call.
-    pub fn has_changed(&mut self) -> bool {
-        let changed = self.record.has_changed().unwrap_or_default();
-        self.record.mark_unchanged();
-        changed
-    }
-
     /// Waits until the device has accepted the command or the command has ended.
     pub async fn accepted(&mut self) -> CommandReport {
         // The actor's end is not an error here: the record shows how far the command came.

@@ -77,8 +77,8 @@ impl Limits {
             Motion::Move { flags, width, speed: given } => {
                 Motion::Move { flags, width: target(width), speed: speed(given) }
             }
-            Motion::Grip { width, speed: given, force, part_id } => {
-                Motion::Grip { width: target(width), speed: speed(given), force, part_id }
+            Motion::Grip { width, speed: given, force, part_id, recipe, is_reference } => {
+                Motion::Grip { width: target(width), speed: speed(given), force, part_id, recipe, is_reference }
             }
             Motion::Release { width, speed: given } => Motion::Release { width: target(width), speed: speed(given) },
         }
@@ -215,7 +215,7 @@ mod tests {
 
     fn grip(mm: f32, mm_s: f32, force: Option<f32>) -> Motion {
         let force = force.map(|n| Force::new(n).unwrap());
-        Motion::Grip { width: width(mm), speed: speed(mm_s), force, part_id: None }
+        Motion::Grip { width: width(mm), speed: speed(mm_s), force, part_id: None, recipe: None, is_reference: false }
     }
 
     #[test]

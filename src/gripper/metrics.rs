@@ -21,7 +21,7 @@ use super::handle::Handle;
 use super::model::{FastStopCause, Kind, Link, Name, Outcome, State};
 
 /// Largest number of series for one gripper.
-pub const MAX_SERIES: usize = 198;
+pub const MAX_SERIES: usize = 228;
 
 /// Buckets for latencies of replies and FAST STOPs, in seconds: from a local socket to a slow line or a lost link.
 const LATENCIES: [f64; 11] = [0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0];
@@ -93,7 +93,7 @@ impl GripperMetrics {
         )?;
         let commands = of.counters(
             "wsg_commands_total",
-            "Ended commands, by kind and outcome. The outcomes include PART_HELD and NO_PART of grips.",
+            "Ended commands, by kind and outcome. The outcomes include PART_HELD, NO_PART and WRONG_PART of grips.",
             &["kind", "outcome"],
         )?;
         let motions = of.register(HistogramVec::new(

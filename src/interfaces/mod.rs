@@ -3,13 +3,16 @@
 //! Architecture invariant: an interface decides nothing about a gripper. The gripper's actor refuses requests because
 //! of a lease, a latch or a device's limits, so all interfaces refuse the same requests.
 
+mod accept;
 mod admission;
 mod client_stream;
 mod context;
 pub mod dashboard;
 pub mod http;
 pub mod metrics;
+pub mod modbus;
 mod pace;
+pub mod peers;
 mod quick_ack;
 mod runtimes;
 pub mod sockets;

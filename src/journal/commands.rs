@@ -21,37 +21,14 @@ pub(super) struct CommandBody {
 
 impl CommandBody {
     pub(super) fn command(self) -> CommandReport {
+        let kind = match &self.event {
+            CommandEvent::Admitted(admitted) => admitted.command,
+            CommandEvent::Done(done) => done.command,
+        };
         let running = CommandReport {
-            id: self.command_id,
-            gripper: self.gripper,
-            number: None,
-            kind: match &self.event {
-                CommandEvent::Admitted(admitted) => admitted.command,
-                CommandEvent::Done(done) => done.command,
-            },
-            phase: Phase::Running,
-            outcome: None,
-            outcome_code: 0,
-            status: None,
-            status_code: None,
-            reached_goal: None,
-            stalled: None,
-            width_mm: None,
-            force_n: None,
-            started_at: self.at,
-            duration_ms: None,
-            subject: self.subject.clone(),
-            client: self.subject,
-            replayed: false,
-            fast_stop_id: None,
-            cancelled_by: None,
-            payload: None,
-            code: None,
-            detail: None,
-            requested: RequestedValues::default(),
-            rejection: None,
             recorded: true,
             accepted: true,
+            ..CommandReport::running(self.command_id, self.gripper, kind, self.subject, self.at)
         };
         match self.event {
             CommandEvent::Admitted(admitted) => {
@@ -75,6 +52,7 @@ fn ended(running: CommandReport, done: Done) -> CommandReport {
         stalled: done.stalled,
         width_mm: done.width_mm,
         force_n: done.force_n,
+        contact_width_mm: done.contact_width_mm,
         started_at: done.started_at,
         duration_ms: done.duration_ms,
         fast_stop_id: done.fast_stop_id,

@@ -1,6 +1,6 @@
 //! Pages and curves as CSV. The columns of a list are always the same, whatever fields its records have.
 
-use serde_json::Value;
+use serde_json::{Map, Value};
 
 use crate::gripper::model::Sample;
 
@@ -72,6 +72,11 @@ pub const EVENT_COLUMNS: &[&str] = &[
     "fast_stop_by",
     "fast_stop_reason",
     "label",
+    "recipe",
+    "recipe_version",
+    "accept_min_mm",
+    "accept_max_mm",
+    "contact_width_mm",
     "other",
 ];
 
@@ -102,6 +107,11 @@ pub const GRIP_COLUMNS: &[&str] = &[
     "requested_force_n",
     "code",
     "detail",
+    "recipe",
+    "recipe_version",
+    "accept_min_mm",
+    "accept_max_mm",
+    "travel_mm",
     "other",
 ];
 
@@ -123,6 +133,12 @@ pub fn lines<'a>(columns: &[&str], bodies: impl IntoIterator<Item = &'a str>) ->
     text(&rows)
 }
 
+/// Formats a header, and a line for each object. Fields without a column are left out.
+#[must_use]
+pub fn table(columns: &[&str], objects: impl IntoIterator<Item = Map<String, Value>>) -> String {
+    header(columns) + &text(&objects.into_iter().map(|mut fields| cells(columns, &mut fields)).collect::<Vec<_>>())
+}
+
 /// Formats a curve, with its header.
 #[must_use]
 pub fn curve(samples: &[Sample]) -> String {
@@ -137,12 +153,17 @@ pub fn curve(samples: &[Sample]) -> String {
 fn row(columns: &[&str], body: &str) -> Vec<String> {
     let mut fields = match serde_json::from_str(body) {
         Ok(Value::Object(fields)) => fields,
-        _ => serde_json::Map::new(),
+        _ => Map::new(),
     };
     let Some((_other, columns)) = columns.split_last() else { return Vec::new() };
-    let mut row: Vec<_> = columns.iter().map(|column| fields.remove(*column).map_or_else(String::new, cell)).collect();
+    let mut row = cells(columns, &mut fields);
     row.push(if fields.is_empty() { String::new() } else { Value::Object(fields).to_string() });
     row
+}
+
+/// Takes the columns' fields, as cells.
+fn cells(columns: &[&str], fields: &mut Map<String, Value>) -> Vec<String> {
+    columns.iter().map(|column| fields.remove(*column).map_or_else(String::new, cell)).collect()
 }
 
 /// Formats a cell: null is empty, and spaces separate the values of a list. Texts are made harmless; numbers stay as
@@ -163,10 +184,21 @@ fn plain(value: Value) -> String {
     }
 }
 
+/// Whether a spreadsheet would run a text as a formula, or would after the removal of its single quotes.
+fn is_formula(text: &str) -> bool {
+    text.trim_start_matches('\'').starts_with(FORMULA_STARTS)
+}
+
 /// Adds a single quote before a text that a spreadsheet would run as a formula, as OWASP advises against CSV injection.
 /// Clients choose part ids, reasons, tags and names.
 fn harmless(text: String) -> String {
-    if text.starts_with(FORMULA_STARTS) { format!("'{text}") } else { text }
+    if is_formula(&text) { format!("'{text}") } else { text }
+}
+
+/// Returns a text as it was before it was made harmless.
+#[must_use]
+pub fn original(cell: &str) -> &str {
+    cell.strip_prefix('\'').filter(|text| is_formula(text)).unwrap_or(cell)
 }
 
 fn text(rows: &[Vec<String>]) -> String {
@@ -210,7 +242,7 @@ mod tests {
 
         let body = Row::grip(super::super::chain::Tip::default(), &grip(1, "left", 1, None)).unwrap().body;
         let csv = lines(GRIP_COLUMNS, [&*body]);
-        assert!(csv.starts_with("1,") && csv.ends_with(",20,,gateway,4711,,,,,,,,\n"), "{csv}");
+        assert!(csv.starts_with("1,") && csv.ends_with(",20,,gateway,4711,,,,,,,,,,,,7.6,\n"), "{csv}");
     }
 
     #[test]

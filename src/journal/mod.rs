@@ -23,6 +23,7 @@ mod runs;
 mod schema;
 mod shared;
 mod source;
+mod statistics;
 mod store;
 #[cfg(test)]
 mod tests;
@@ -34,7 +35,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use tokio::sync::{broadcast, watch};
+use tokio::sync::{Semaphore, broadcast, watch};
 use uuid::Uuid;
 
 use crate::gripper::model::{CommandEvent, CommandId, CommandReport, Detail, Event, Name, PersistedState, Sample};
@@ -54,6 +55,7 @@ pub use recovery::Recovered;
 pub use row::{EventKind, GripUpdate, Stored};
 pub use schema::VERSION;
 pub use source::{JournalLocation, ReadError};
+pub use statistics::{Distribution, GripStatistics, NEWEST_WEIGHS, StatisticsQuery};
 pub use store::{OpenError, is_in_use};
 pub use verify::{Finding, Report, verify, verify_with_progress};
 
@@ -82,6 +84,8 @@ pub struct Journal {
     writing: Arc<Writing>,
     shared: Arc<Shared>,
     pool: Pool,
+    /// Permit for computing statistics: only one computation runs at a time.
+    statistics: Arc<Semaphore>,
     id: Uuid,
 }
 
@@ -121,7 +125,8 @@ impl Journal {
         spawn("journal-watch", move || watched.watch(&place))?;
         let thread = spawn("journal", move || writer.run(&queue))?;
         let writing = Arc::new(Writing { inputs, check: Mutex::new(check), thread: Mutex::new(Some(thread)) });
-        Ok((Self { writing, shared, pool: Pool::new(&source), id }, recovered))
+        let statistics = Arc::new(Semaphore::new(1));
+        Ok((Self { writing, shared, pool: Pool::new(&source), statistics, id }, recovered))
     }
 
     /// Writes the waiting records and the orderly end of the gateway, then stops writing. Later records are lost.
@@ -203,6 +208,20 @@ impl Journal {
     /// [`ReadError`], if the journal cannot be read.
     pub async fn recall(&self) -> Result<Recovered, ReadError> {
         self.pool.read(Reader::recall).await
+    }
+
+    /// See [`Reader::statistics`]. One request at a time is computed, since it can read a million records.
+    ///
+    /// # Errors
+    /// [`ReadError`], if the journal cannot be read.
+    pub async fn statistics(&self, query: StatisticsQuery) -> Result<GripStatistics, ReadError> {
+        let turn = self.statistics.clone().acquire_owned().await.map_err(|error| ReadError(error.to_string()))?;
+        // A computation goes on without its client, so it keeps the permit itself.
+        let computed = self.pool.read(move |reader| {
+            let _turn = turn;
+            reader.statistics(&query)
+        });
+        computed.await
     }
 
     /// See [`Reader::command`].

@@ -157,8 +157,10 @@ pub struct Page {
 /// The kinds of one chain's records.
 pub(super) trait ChainKind: Copy + PartialEq + serde::Serialize {
     const CHAIN: Chain;
-    /// The only kind that can have a part.
+    /// The kind of most records that have a part.
     const WITH_PART: Self;
+    /// The only other kind that can have a part. There are few records of it.
+    const ALSO_WITH_PART: Self;
     /// The only kind that can have an outcome; absent if every kind has one.
     const WITH_OUTCOME: Option<Self>;
 }
@@ -166,41 +168,54 @@ pub(super) trait ChainKind: Copy + PartialEq + serde::Serialize {
 impl ChainKind for EventKind {
     const CHAIN: Chain = Chain::Events;
     const WITH_PART: Self = Self::Command;
+    const ALSO_WITH_PART: Self = Self::Alarm;
     const WITH_OUTCOME: Option<Self> = Some(Self::Command);
 }
 
 impl ChainKind for Kind {
     const CHAIN: Chain = Chain::Grips;
     const WITH_PART: Self = Self::Grip;
+    const ALSO_WITH_PART: Self = Self::Reference;
     const WITH_OUTCOME: Option<Self> = None;
 }
 
-/// Conditions on columns, and the index of exactly these columns.
+/// Conditions on columns, and an index for them.
 struct Plan {
     index: String,
+    /// Whether the index is read over a range of part ids.
+    is_by_prefix: bool,
+    /// Kind of records to leave out, by the index of kinds.
+    without: Option<String>,
     /// Columns, each with an operator and a value.
     conditions: Vec<(&'static str, &'static str, String)>,
 }
 
 /// Returns none if nothing can match.
 fn plan<K: ChainKind>(filter: &Filter<K>) -> Option<Plan> {
-    let implied = match (filter.part_id.as_ref().or(filter.part_prefix.as_ref()), &filter.outcome) {
-        (Some(_), _) => Some(K::WITH_PART),
-        (None, Some(_)) => K::WITH_OUTCOME,
-        (None, None) => None,
+    let has_part = filter.part_id.is_some() || filter.part_prefix.is_some();
+    let is_impossible = |kind: K| {
+        let can_have_part = [K::WITH_PART, K::ALSO_WITH_PART].contains(&kind);
+        let can_have_outcome = K::WITH_OUTCOME.is_none_or(|with_outcome| with_outcome == kind);
+        (has_part && !can_have_part) || (filter.outcome.is_some() && !can_have_outcome)
     };
-    if implied.is_some() && filter.kind.is_some() && implied != filter.kind {
+    if filter.kind.is_some_and(is_impossible) {
         return None;
     }
-    let kind = filter.kind.filter(|_| implied.is_none());
-    let mut conditions = Vec::new();
-    conditions.extend(filter.gripper.as_ref().map(|gripper| ("gripper", "=", gripper.to_string())));
-    conditions.extend(kind.map(|kind| ("kind", "=", word(&kind))));
-    conditions.extend(filter.part_id.as_ref().map(|part_id| ("part_id", "=", part_id.as_str().to_owned())));
+    let mut of_part = Vec::new();
+    of_part.extend(filter.part_id.as_ref().map(|part_id| ("part_id", "=", part_id.as_str().to_owned())));
     if let Some(prefix) = &filter.part_prefix {
         let end = format!("{}{}", prefix.as_str(), char::MAX);
-        conditions.extend([("part_id", ">=", prefix.as_str().to_owned()), ("part_id", "<", end)]);
+        of_part.extend([("part_id", ">=", prefix.as_str().to_owned()), ("part_id", "<", end)]);
     }
+    let has_other_kind = has_part && filter.kind == Some(K::ALSO_WITH_PART);
+    // The kind follows from the outcome or from `without`.
+    let is_implied = (has_part && !has_other_kind) || (filter.outcome.is_some() && K::WITH_OUTCOME.is_some());
+    let mut conditions = Vec::new();
+    conditions.extend(filter.gripper.as_ref().map(|gripper| ("gripper", "=", gripper.to_string())));
+    conditions.extend(filter.kind.filter(|_| !is_implied).map(|kind| ("kind", "=", word(&kind))));
+    // Records of this kind are few, so their part is compared after the index.
+    let further = if has_other_kind { std::mem::take(&mut of_part) } else { Vec::new() };
+    conditions.extend(of_part);
     conditions.extend(filter.outcome.map(|outcome| ("outcome", "=", word(&outcome))));
     let mut columns: Vec<_> = conditions.iter().map(|(column, ..)| *column).collect();
     columns.dedup();
@@ -211,8 +226,11 @@ fn plan<K: ChainKind>(filter: &Filter<K>) -> Option<Plan> {
         None if columns.is_empty() => "NOT INDEXED".to_owned(),
         None => format!("INDEXED BY {table}_{}", columns.join("_")),
     };
+    conditions.extend(further);
     conditions.extend(filter.command_id.map(|id| ("command_id", "=", id.to_string())));
-    Some(Plan { index, conditions })
+    let is_by_prefix = filter.part_prefix.is_some() && !has_other_kind;
+    let without = (has_part && filter.kind == Some(K::WITH_PART)).then(|| word(&K::ALSO_WITH_PART));
+    Some(Plan { index, is_by_prefix, without, conditions })
 }
 
 impl Chain {
@@ -249,7 +267,7 @@ pub(super) fn page<K: ChainKind>(connection: &Connection, query: &Query<K>, unti
     let limit = usize::from(query.limit.0);
     let mut found = Vec::new();
     let mut runs = runs(connection, K::CHAIN, (query.from, query.to), (first, last), query.order)?;
-    if query.filter.part_prefix.is_some()
+    if plan.is_by_prefix
         && let [one, .., other] = runs.as_slice()
     {
         // Each run would read the index's entries of all parts with this prefix again.
@@ -278,7 +296,11 @@ fn read_run<K: ChainKind>(
     found: &mut Vec<(i64, Arc<str>)>,
 ) -> rusqlite::Result<()> {
     let tests = plan.conditions.iter().map(|(column, operator, _)| format!("{column} {operator} ? AND "));
-    let mut conditions: String = tests.collect();
+    let (chain, order) = (K::CHAIN, if query.order == Order::Newest { "DESC" } else { "ASC" });
+    let (table, served_columns) = (chain.name(), chain.served());
+    let of_kind = |kind| format!("SELECT seq FROM {table} INDEXED BY {table}_kind WHERE kind = '{kind}'");
+    let without = plan.without.iter().map(|kind| format!("seq NOT IN ({}) AND ", of_kind(kind)));
+    let mut conditions: String = tests.chain(without).collect();
     let mut values: Vec<Value> = plan.conditions.iter().map(|(.., value)| value.clone().into()).collect();
     if !run.whole {
         conditions.push_str("at >= ? AND at < ? AND ");
@@ -287,15 +309,13 @@ fn read_run<K: ChainKind>(
     }
     let limit = i64::try_from(enough - found.len()).unwrap_or(i64::MAX);
     values.extend([run.first.into(), run.last.into(), limit.into()]);
-    let (chain, order) = (K::CHAIN, if query.order == Order::Newest { "DESC" } else { "ASC" });
-    let (table, served_columns) = (chain.name(), chain.served());
     let select = |columns| {
         let index = &plan.index;
         format!(
             "SELECT {columns} FROM {table} {index} WHERE {conditions} seq BETWEEN ? AND ? ORDER BY seq {order} LIMIT ?"
         )
     };
-    let sql = if query.filter.part_prefix.is_some() {
+    let sql = if plan.is_by_prefix {
         // The parts of a prefix are in the order of their names, so the index alone finds the numbers to sort.
         format!("SELECT seq, {served_columns} FROM {table} WHERE seq IN ({}) ORDER BY seq {order}", select("seq"))
     } else {

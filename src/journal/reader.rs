@@ -13,6 +13,7 @@ use super::query::{EventQuery, GripQuery, Page, grip, page};
 use super::recovery::{self, Recovered};
 use super::schema::{Content, content};
 use super::source::{JournalLocation, ReadError, Source, no_file};
+use super::statistics::{GripStatistics, SHARED_FROM, StatisticsQuery, statistics};
 use crate::gripper::model::{CommandId, CommandReport, Name, Sample};
 
 /// Maximum number of concurrent reads. More than there are cores would only wait longer.
@@ -119,6 +120,14 @@ impl Reader {
         })?;
         let damaged = |error| ReadError(format!("the journal {}: grip {id}: {error}", self.source.place));
         bytes.map(|bytes| curve::decode(&bytes).map_err(damaged)).transpose()
+    }
+
+    /// Computes statistics of grips.
+    ///
+    /// # Errors
+    /// [`ReadError`], if the journal cannot be read.
+    pub fn statistics(&self, query: &StatisticsQuery) -> Result<GripStatistics, ReadError> {
+        self.with(|connection| statistics(&self.source, connection, query, SHARED_FROM))
     }
 
     /// Reads the newest state of a gripper's command.

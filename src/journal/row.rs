@@ -22,6 +22,7 @@ use crate::gripper::model::{CommandId, Detail, DeviceEvent, Event, GripRecord, N
 /// - `refused`: a request was refused
 /// - `gateway`: the gateway started or ended, or its journal lost or removed records
 /// - `alarm`: an alarm was raised, ended or was acknowledged
+/// - `recipe`: a recipe was set or removed
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum EventKind {
@@ -35,6 +36,7 @@ pub enum EventKind {
     Refused,
     Gateway,
     Alarm,
+    Recipe,
 }
 
 /// A durable event, with the values that filters compare.

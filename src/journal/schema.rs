@@ -3,6 +3,8 @@
 
 use rusqlite::Connection;
 
+use super::statistics;
+
 /// Marks the file as a journal of this gateway: `WSGJ`.
 pub(super) const APPLICATION_ID: i32 = 0x5753_474A;
 
@@ -13,8 +15,9 @@ pub const VERSION: i32 = 1;
 /// row.
 ///
 /// Each combination of filters has an index, to which SQLite adds the sequence number, so that no page reads more than
-/// it returns; for a prefix of a part, it reads the index's entries of all its parts. Only commands have an outcome or a
-/// part.
+/// it returns; for a prefix of a part, it reads the index's entries of all its parts; for a part's alarms or reference
+/// grips, it reads all records of that kind. Among events, only commands have an outcome, and only commands and alarms
+/// have a part.
 ///
 /// `spans` has the earliest and the latest `at` of each 1024 records: wall clocks jump, sequence numbers don't.
 /// `running` has the commands that were admitted and have not ended. `anchors` has each chain's last removed record.
@@ -102,6 +105,7 @@ pub(super) fn content(connection: &Connection) -> rusqlite::Result<Content> {
 pub(super) fn create(connection: &mut Connection) -> rusqlite::Result<()> {
     let transaction = connection.transaction()?;
     transaction.execute_batch(TABLES)?;
+    transaction.execute_batch(statistics::INDEX)?;
     transaction.pragma_update(None, "user_version", VERSION)?;
     transaction.pragma_update(None, "application_id", APPLICATION_ID)?;
     transaction.commit()

@@ -14,6 +14,7 @@ use super::presence::FilePresence;
 use super::row::{EventKind, Row, word};
 use super::schema::{self, APPLICATION_ID, Content, SPAN_BITS, VERSION, content};
 use super::source::{BUSY_TIMEOUT, JournalLocation, Source, no_file};
+use super::statistics;
 use crate::gripper::model::{Name, PersistedKey};
 
 /// Size limit of the write-ahead log in bytes, while no reader needs more of it.
@@ -90,7 +91,12 @@ impl Store {
         let unusable = |error: rusqlite::Error| OpenError::Unusable(source.describe(&error));
         let mut connection = source.writing().map_err(unusable)?;
         match content(&connection).map_err(unusable)? {
-            Content::Journal => {}
+            Content::Journal => {
+                // Files of version 0.1.0 lack this index. Only statistics need it, so a full disk must not prevent the start.
+                if let Err(error) = connection.execute_batch(statistics::INDEX) {
+                    tracing::warn!(%error, "index for statistics not created: statistics are unavailable");
+                }
+            }
             Content::Nothing => {
                 // This pragma has an effect only before the tables exist.
                 connection.pragma_update(None, "auto_vacuum", "INCREMENTAL").map_err(unusable)?;

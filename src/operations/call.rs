@@ -14,12 +14,17 @@ use super::gateway::Gateway;
 use super::json;
 use super::problem::Problem;
 use super::rights::require;
+use super::values::part_id;
 use crate::access::Right;
 use crate::gripper::handle::Using;
-use crate::gripper::model::{Client, CommandId, LeaseToken, Name};
+use crate::gripper::model::{Client, CommandId, LeaseToken, Name, PartId};
 use crate::gripper::{Handle, Rejection};
+use crate::recipes::ExpectedVersion;
 use crate::webhooks::Webhook;
 use crate::wsg::{self, Finger};
+
+/// Path parameter that names a part.
+pub const PART_ID: &str = "part_id";
 
 /// The parameters of a request.
 #[derive(Debug, Default)]
@@ -28,6 +33,8 @@ pub struct Params {
     pub path: BTreeMap<&'static str, String>,
     /// All other parameters.
     pub fields: Fields,
+    /// Version of a recipe that the request expects, if that came alongside the parameters.
+    pub expected: ExpectedVersion,
 }
 
 /// Parameters in the form that an interface received.
@@ -137,6 +144,11 @@ impl Call {
     /// Returns the command that the path names.
     pub fn command_id(&self) -> Result<CommandId, Problem> {
         self.params.part("command")?.parse().map_err(|_| Problem::not_found("command with this id: ids are UUIDs"))
+    }
+
+    /// Returns the part that the path names.
+    pub fn part_id(&self) -> Result<PartId, Problem> {
+        part_id(PART_ID, self.params.part(PART_ID)?)
     }
 
     /// Returns the webhook that the path names.

@@ -27,6 +27,10 @@ impl ConnectionLease {
         Self { handle, token, epoch: self.epoch, takes: self.takes, _keep: None }
     }
 
+    pub fn token(&self) -> &LeaseToken {
+        &self.token
+    }
+
     /// Whether the lease has this token.
     pub fn is(&self, token: &str) -> bool {
         self.token.as_str() == token

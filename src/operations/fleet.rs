@@ -150,7 +150,7 @@ async fn acknowledge_one(call: &Call, gateway: &str, gripper: &str, id: FastStop
     }
     let ask = Ask {
         gateway: gateway.clone(),
-        gripper,
+        gripper: Some(gripper),
         method: ACKNOWLEDGE_ONE.name,
         params: json!({"fast_stop_id": id}),
         wait: None,

@@ -11,7 +11,9 @@ use crate::fleet::Peers;
 use crate::gripper::Grippers;
 use crate::gripper::model::Name;
 use crate::journal::Journal;
+use crate::recipes::Recipes;
 use crate::trends::Trends;
+use crate::wear::Wear;
 use crate::webhooks::Webhooks;
 
 /// State that operations work on.
@@ -27,6 +29,8 @@ pub struct Gateway {
     /// The other gateways.
     pub peers: Arc<Peers>,
     pub alarms: Arc<Alarms>,
+    pub recipes: Arc<Recipes>,
+    pub wear: Arc<Wear>,
     pub updates: Arc<LiveUpdates>,
     pub webhooks: Arc<Webhooks>,
     pub trends: Arc<Trends>,
@@ -45,6 +49,8 @@ impl Gateway {
         let audit = Arc::new(Audit::new(journal.clone()));
         let peers = Arc::new(Peers::new(name.clone(), grippers.clone(), None));
         let alarms = Arc::new(Alarms::new(name.clone(), journal.clone(), &[]));
+        let recipes = Arc::new(Recipes::new(name.clone(), journal.clone(), &[]));
+        let wear = Arc::new(Wear::new(journal.clone(), None, &[]));
         let updates = Arc::new(LiveUpdates::new(grippers.clone(), journal.clone(), peers.clone(), alarms.clone()));
         Arc::new(Self {
             name,
@@ -53,6 +59,8 @@ impl Gateway {
             audit,
             peers,
             alarms,
+            recipes,
+            wear,
             updates,
             webhooks: Arc::default(),
             trends: Arc::default(),

@@ -11,9 +11,10 @@ use super::commands;
 use super::operation::{Operation, reply};
 use super::problem::Problem;
 use super::reply::OperationReply;
-use super::values::{TextOrNumber, force, request_id_schema, speed, text, text_or_number, width};
+use super::requested_recipe::RequestedRecipe;
+use super::values::{TextOrNumber, force, request_id_schema, speed, text_or_number, width};
 use crate::access::Right;
-use crate::gripper::model::{Action, Direction, Motion, OnBlock, Urgency};
+use crate::gripper::model::{Action, Direction, Motion, OnBlock, RecipeValues, Urgency};
 use crate::wsg::MoveFlags;
 
 pub const HOME: Operation = Operation::command("home", "/grippers/{gripper}/home", |call| reply(submit::<Home>(call)));
@@ -27,8 +28,8 @@ pub const STOP: Operation = Operation::command("stop", "/grippers/{gripper}/stop
 
 /// Parameters of a motion or of a stop.
 trait ActionFields: Sized {
-    /// Parses the parameters.
-    fn action(self) -> Result<Action, Problem>;
+    /// Parses the parameters. `call` has the gripper's name and the recipes.
+    fn action(self, call: &Call) -> Result<Action, Problem>;
 
     /// The action for malformed parameters, unless they are refused.
     const FALLBACK: Option<Action> = None;
@@ -96,24 +97,48 @@ command_body! {
 }
 
 fn part_id_schema() -> OneOfBuilder {
-    text_or_number(48, "Id of the part, for the records: at most 48 bytes, or a whole number, which is stored as text.")
+    text_or_number(
+        48,
+        "Id of the part, for the records and to find its recipe: at most 48 bytes, or a whole number, which is stored \
+         as text. By default that of the recipe.",
+    )
+}
+
+fn released_part_schema() -> OneOfBuilder {
+    text_or_number(
+        48,
+        "Id of the part, to find its recipe: at most 48 bytes, or a whole number, which is treated as text.",
+    )
 }
 
 command_body! {
     /// Parameters of a grip.
     #[schema(example = json!({"width_mm": 20.0, "speed_mm_s": 50.0, "force_n": 40.0, "part_id": "A-1047"}))]
     Grip {
-        /// Nominal width of the part, in mm.
+        /// Nominal width of the part, in mm; by default that of the recipe.
         #[schema(minimum = 0, maximum = 1000)]
-        width_mm: f64,
-        /// Speed of the fingers relative to each other, in mm/s.
+        width_mm: Option<f64>,
+        /// Speed of the fingers relative to each other, in mm/s; by default that of the recipe.
         #[schema(minimum = 0, maximum = 10000)]
-        speed_mm_s: f64,
-        /// Force limit in N. It is set before the grip and stays set; without it, the current limit applies.
+        speed_mm_s: Option<f64>,
+        /// Force limit in N; by default that of the recipe. It is set before the grip and stays set; without it, the
+        /// current limit applies.
         #[schema(minimum = 0, maximum = 10000)]
         force_n: Option<f64>,
         #[schema(schema_with = part_id_schema)]
         part_id: Option<TextOrNumber>,
+        /// Number of the recipe. Without it, the recipe of the part is used if `width_mm` or `speed_mm_s` is missing. 0: no
+        /// recipe.
+        #[schema(value_type = Option<u8>, minimum = 0, maximum = 255)]
+        recipe: Option<f64>,
+        /// Version that the recipe must have; otherwise the request fails with 412.
+        #[schema(value_type = Option<u64>, minimum = 1, maximum = 9_007_199_254_740_991_i64)]
+        recipe_version: Option<f64>,
+        /// Whether this is a reference grip, that is, a grip on a gauge. Its kind is `reference`, and the request needs a
+        /// `part_id` or a `recipe`.
+        #[serde(default)]
+        #[schema(default = false)]
+        reference: bool,
     }
 }
 
@@ -121,12 +146,21 @@ command_body! {
     /// Parameters of a release.
     #[schema(example = json!({"width_mm": 60.0, "speed_mm_s": 100.0}))]
     Release {
-        /// Opening width to open to, in mm.
+        /// Opening width to open to, in mm; by default that of the recipe.
         #[schema(minimum = 0, maximum = 1000)]
-        width_mm: f64,
-        /// Speed of the fingers relative to each other, in mm/s.
+        width_mm: Option<f64>,
+        /// Speed of the fingers relative to each other, in mm/s; by default that of the recipe.
         #[schema(minimum = 0, maximum = 10000)]
-        speed_mm_s: f64,
+        speed_mm_s: Option<f64>,
+        #[schema(schema_with = released_part_schema)]
+        part_id: Option<TextOrNumber>,
+        /// Number of the recipe. Without it, the recipe of the part is used if `width_mm` or `speed_mm_s` is missing. 0: no
+        /// recipe.
+        #[schema(value_type = Option<u8>, minimum = 0, maximum = 255)]
+        recipe: Option<f64>,
+        /// Version that the recipe must have; otherwise the request fails with 412.
+        #[schema(value_type = Option<u64>, minimum = 1, maximum = 9_007_199_254_740_991_i64)]
+        recipe_version: Option<f64>,
     }
 }
 
@@ -137,13 +171,13 @@ command_body! {
 }
 
 impl ActionFields for Home {
-    fn action(self) -> Result<Action, Problem> {
+    fn action(self, _: &Call) -> Result<Action, Problem> {
         Ok(Action::Motion(Motion::Home(self.direction.into())))
     }
 }
 
 impl ActionFields for Move {
-    fn action(self) -> Result<Action, Problem> {
+    fn action(self, _: &Call) -> Result<Action, Problem> {
         Ok(Action::Motion(Motion::Move {
             flags: MoveFlags { relative: self.relative, stop_on_block: self.on_block == OnBlock::Stop },
             width: width("width_mm", self.width_mm)?,
@@ -153,25 +187,43 @@ impl ActionFields for Move {
 }
 
 impl ActionFields for Grip {
-    fn action(self) -> Result<Action, Problem> {
+    fn action(self, call: &Call) -> Result<Action, Problem> {
+        let is_complete = self.width_mm.is_some() && self.speed_mm_s.is_some();
+        let recipe = RequestedRecipe::of(call, self.recipe, self.recipe_version, self.part_id, is_complete)?;
+        let RecipeValues { width_mm, speed_mm_s, force_n, .. } = recipe.values();
+        let part_id = recipe.part_id();
+        if self.reference && part_id.is_none() {
+            return Err(Problem::malformed(
+                "part_id",
+                "part_id is missing: send the gauge's part_id, or the recipe of the gauge",
+            ));
+        }
         Ok(Action::Motion(Motion::Grip {
-            width: width("width_mm", self.width_mm)?,
-            speed: speed("speed_mm_s", self.speed_mm_s)?,
-            force: self.force_n.map(|n| force("force_n", n)).transpose()?,
-            part_id: self.part_id.map(|given| text("part_id", &given.to_string())).transpose()?,
+            width: width("width_mm", recipe.required("width_mm", self.width_mm.or(width_mm))?)?,
+            speed: speed("speed_mm_s", recipe.required("speed_mm_s", self.speed_mm_s.or(speed_mm_s))?)?,
+            force: self.force_n.or(force_n).map(|n| force("force_n", n)).transpose()?,
+            recipe: recipe.applied(),
+            part_id,
+            is_reference: self.reference,
         }))
     }
 }
 
 impl ActionFields for Release {
-    fn action(self) -> Result<Action, Problem> {
-        let (width, speed) = (width("width_mm", self.width_mm)?, speed("speed_mm_s", self.speed_mm_s)?);
-        Ok(Action::Motion(Motion::Release { width, speed }))
+    fn action(self, call: &Call) -> Result<Action, Problem> {
+        let is_complete = self.width_mm.is_some() && self.speed_mm_s.is_some();
+        let recipe = RequestedRecipe::of(call, self.recipe, self.recipe_version, self.part_id, is_complete)?;
+        let RecipeValues { release_width_mm, release_speed_mm_s, speed_mm_s, .. } = recipe.values();
+        let by_recipe = release_speed_mm_s.or(speed_mm_s);
+        Ok(Action::Motion(Motion::Release {
+            width: width("width_mm", recipe.required("width_mm", self.width_mm.or(release_width_mm))?)?,
+            speed: speed("speed_mm_s", recipe.required("speed_mm_s", self.speed_mm_s.or(by_recipe))?)?,
+        }))
     }
 }
 
 impl ActionFields for Stop {
-    fn action(self) -> Result<Action, Problem> {
+    fn action(self, _: &Call) -> Result<Action, Problem> {
         Ok(Action::Stop)
     }
 
@@ -191,5 +243,5 @@ async fn submit<P: ActionFields + KeyFields + DeserializeOwned>(call: Call) -> R
 fn parse<P: ActionFields + KeyFields + DeserializeOwned>(call: &Call) -> Result<(RequestKeys, Action), Problem> {
     let (keys, fields) = (call.keys()?, call.fields::<P>()?);
     let (request_id, lease) = fields.keys();
-    Ok((keys.or_fields(request_id.as_deref(), lease)?, fields.action()?))
+    Ok((keys.or_fields(request_id.as_deref(), lease)?, fields.action(call)?))
 }

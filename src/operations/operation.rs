@@ -10,6 +10,7 @@ use crate::access::Right;
 use crate::gripper::model::Urgency;
 
 #[derive(Debug, Clone, Copy)]
+#[allow(clippy::struct_excessive_bools, reason = "independent properties")]
 pub struct Operation {
     /// Name: the WebSocket method, and the last part of the Zenoh command key.
     pub name: &'static str,
@@ -29,6 +30,8 @@ pub struct Operation {
     pub query: &'static [&'static str],
     /// Whether the HTTP response leaves out headers that only browsers need.
     pub is_compact: bool,
+    /// Whether an HTTP request can name the version that it expects (RFC 9110 13.1).
+    pub is_conditional: bool,
     run: Run,
 }
 
@@ -42,9 +45,19 @@ impl Operation {
 
     /// Declares an operation that can change something.
     pub(super) const fn change(name: &'static str, verb: &'static Verb, path: &'static str, run: Run) -> Self {
-        let (right, urgency) = (Right::Operate, Urgency::None);
-        let (starts_command, waits, query, is_compact): (_, _, &[_], _) = (false, false, &[], false);
-        Self { name, verb, path, right, urgency, starts_command, waits, query, is_compact, run }
+        Self {
+            name,
+            verb,
+            path,
+            right: Right::Operate,
+            urgency: Urgency::None,
+            starts_command: false,
+            waits: false,
+            query: &[],
+            is_compact: false,
+            is_conditional: false,
+            run,
+        }
     }
 
     /// Declares an operation that starts a command.
@@ -68,6 +81,11 @@ impl Operation {
     /// Leaves out headers that only browsers need.
     pub(super) const fn compact(self) -> Self {
         Self { is_compact: true, ..self }
+    }
+
+    /// Takes the version that an HTTP request expects.
+    pub(super) const fn conditional(self) -> Self {
+        Self { is_conditional: true, ..self }
     }
 
     pub(super) const fn urgent(self, urgency: Urgency) -> Self {

@@ -37,6 +37,11 @@ impl QueryString {
         names.iter().filter_map(|name| field(name).transpose()).collect()
     }
 
+    /// Returns all parameters as the fields of an object.
+    pub fn all(&self) -> Result<Map<String, Value>, Problem> {
+        self.fields(&self.0.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>())
+    }
+
     pub fn one(&self, name: &str) -> Result<Option<&str>, Problem> {
         let mut given = self.0.iter().filter(|(key, _)| key == name).map(|(_, value)| value.as_str());
         match (given.next(), given.next()) {

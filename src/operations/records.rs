@@ -16,9 +16,11 @@ use crate::gripper::model::{Code, Event, GripRecord, Kind};
 use crate::journal::{Cursor, EventKind, Filter, Limit, Page, Query};
 
 /// Kinds of events, as listed in problems.
-const EVENT_KINDS: &str = "command, fast_stop, acknowledge, lease, link, device, settings, refused, gateway";
-const GRIP_KINDS: &str = "all, home, move, grip, release";
-const OUTCOMES: &str = "SUCCESS, PART_HELD, NO_PART, BLOCKED, ABORTED, RANGE, TIMEOUT, FAILED, REFUSED, UNKNOWN";
+const EVENT_KINDS: &str = "command, fast_stop, acknowledge, lease, link, device, settings, refused, gateway, \
+                           alarm, recipe";
+const GRIP_KINDS: &str = "all, home, move, grip, release, reference";
+const OUTCOMES: &str = "SUCCESS, PART_HELD, NO_PART, BLOCKED, ABORTED, RANGE, TIMEOUT, FAILED, REFUSED, UNKNOWN, \
+                        WRONG_PART";
 /// Digits of the largest accepted cursor, beyond the events that any journal will have.
 const MAX_CURSOR_DIGITS: usize = 18;
 
@@ -39,6 +41,7 @@ pub enum RecordList {
 /// - `move`: moves
 /// - `grip`: grips
 /// - `release`: releases
+/// - `reference`: reference grips, on gauges
 #[derive(Debug, Clone, Copy, Default, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum GripKinds {
@@ -48,6 +51,7 @@ pub enum GripKinds {
     #[default]
     Grip,
     Release,
+    Reference,
 }
 
 impl From<GripKinds> for Option<Kind> {
@@ -58,6 +62,7 @@ impl From<GripKinds> for Option<Kind> {
             GripKinds::Move => Some(Kind::Move),
             GripKinds::Grip => Some(Kind::Grip),
             GripKinds::Release => Some(Kind::Release),
+            GripKinds::Reference => Some(Kind::Reference),
         }
     }
 }

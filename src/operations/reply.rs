@@ -17,6 +17,10 @@ pub struct OperationReply {
     pub body: Box<RawValue>,
     /// The command or lease that outlives the reply, if any.
     pub effect: Effect,
+    /// Version of the recipe in the reply, if it is one.
+    pub version: Option<u64>,
+    /// Whether the operation created what it returns.
+    pub is_new: bool,
 }
 
 /// A command or lease that outlives a reply.
@@ -38,6 +42,15 @@ pub enum Effect {
 #[derive(Debug)]
 pub struct Json<T>(pub T);
 
+/// A result with its version, which a later change can require.
+#[derive(Debug)]
+pub struct Versioned<T> {
+    pub version: u64,
+    /// Whether the operation created the result.
+    pub is_new: bool,
+    pub result: T,
+}
+
 /// A result that the function of an operation can return.
 pub(super) trait IntoReply {
     fn into_reply(self) -> Result<OperationReply, Problem>;
@@ -55,10 +68,17 @@ impl<T: Serialize> IntoReply for Json<T> {
     }
 }
 
+impl<T: Serialize> IntoReply for Versioned<T> {
+    fn into_reply(self) -> Result<OperationReply, Problem> {
+        let reply = OperationReply::new(&self.result, Effect::None)?;
+        Ok(OperationReply { version: Some(self.version), is_new: self.is_new, ..reply })
+    }
+}
+
 impl OperationReply {
     pub(super) fn new(result: &impl Serialize, effect: Effect) -> Result<Self, Problem> {
         let body = to_raw_value(result)
             .map_err(|error| Problem::new(Code::Internal, format!("the result could not be serialised: {error}")))?;
-        Ok(Self { body, effect })
+        Ok(Self { body, effect, version: None, is_new: false })
     }
 }

@@ -5,11 +5,12 @@ use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 
 use futures_util::FutureExt as _;
+use serde::Deserialize as _;
 use serde_json::{Map, Value};
 use tracing::Instrument as _;
 
 use super::audit::RefusedRequest;
-use super::call::{Call, Fields, Params};
+use super::call::{Call, Fields, PART_ID, Params};
 use super::caller::Caller;
 use super::fast_stop;
 use super::gateway::Gateway;
@@ -18,6 +19,7 @@ use super::problem::Problem;
 use super::reply::OperationReply;
 use super::rights::check;
 use super::table::{is_fast_stop, named, shortened};
+use super::values::TextOrNumber;
 use crate::gripper::model::{Code, Urgency};
 
 /// Runs an operation for a caller, and records a refusal.
@@ -107,19 +109,19 @@ fn resolve(name: &str, params: Value) -> Result<(&'static Operation, Params), Pr
     let operation = named(name).find(has_all).unwrap_or(first);
     let part = |key| Ok((key, path_part(key, object.remove(key))?));
     let path = operation.path_parameters().map(part).collect::<Result<_, Problem>>()?;
-    Ok((operation, Params { path, fields: Fields::Object(object) }))
+    Ok((operation, Params { path, fields: Fields::Object(object), ..Params::default() }))
 }
 
-/// Returns a path parameter. A value that cannot be part of a path is reported as not found.
+/// Returns a path parameter. A value that cannot be a name is reported as not found; parts can have any name.
 fn path_part(key: &str, value: Option<Value>) -> Result<String, Problem> {
     let part = match value {
-        Some(Value::String(text)) => text,
-        Some(Value::Number(number)) => number.to_string(),
-        Some(_) => return Err(Problem::malformed(key, format!("{key} must be a string or a number"))),
+        Some(value) => TextOrNumber::deserialize(value)
+            .map_err(|_| Problem::malformed(key, format!("{key} must be a string or a whole number")))?
+            .to_string(),
         None => return Err(Problem::malformed(key, format!("{key} is missing"))),
     };
     let is_name = |byte: u8| byte.is_ascii_alphanumeric() || matches!(byte, b'-' | b'_');
-    if part.is_empty() || !part.bytes().all(is_name) {
+    if key != PART_ID && (part.is_empty() || !part.bytes().all(is_name)) {
         return Err(Problem::not_found(format!("such {key}")).field(key));
     }
     Ok(part)

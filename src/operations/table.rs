@@ -4,8 +4,8 @@ use http::Method as Verb;
 
 use super::operation::Operation;
 use super::{
-    alarms, commands, connection, device, fast_stop, fingers, fleet, grippers, lease, me, motion, raw, reload,
-    settings, webhooks,
+    alarms, commands, connection, copy_recipes, device, fast_stop, finger_set, fingers, fleet, grippers, lease, me,
+    motion, raw, recipes, reload, settings, statistics, teach, webhooks,
 };
 use crate::gripper::model::Urgency;
 
@@ -48,6 +48,8 @@ pub const OPERATIONS: &[Operation] = &[
     fingers::INFO,
     fingers::DATA,
     fingers::POWER,
+    finger_set::GET,
+    finger_set::SET,
     device::TARE,
     device::LOOP,
     raw::RAW,
@@ -56,8 +58,17 @@ pub const OPERATIONS: &[Operation] = &[
     fleet::LIST,
     fleet::FAST_STOP,
     fleet::ACKNOWLEDGE,
+    copy_recipes::COPY,
     alarms::LIST,
     alarms::ACKNOWLEDGE,
+    recipes::LIST,
+    recipes::SET_SEVERAL,
+    recipes::GET,
+    recipes::VERSIONS,
+    recipes::SET,
+    recipes::REMOVE,
+    teach::TEACH,
+    statistics::STATISTICS,
     me::ME,
     reload::RELOAD,
     webhooks::LIST,

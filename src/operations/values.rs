@@ -13,7 +13,7 @@ use utoipa::openapi::schema::{ObjectBuilder, OneOfBuilder, Type};
 
 use super::problem::Problem;
 use crate::gripper::limits::{FASTEST_MM_S, HARDEST_MM_S2, STRONGEST_N, WIDEST_MM};
-use crate::gripper::model::{ShownName, Text};
+use crate::gripper::model::{Name, PartId, ShownName, Text};
 use crate::wsg::{Acceleration, Force, NotFinite, Speed, Width};
 
 /// An opening width, or a change of it, in mm.
@@ -38,6 +38,11 @@ pub fn force(field: &str, n: f64) -> Result<Force, Problem> {
 
 fn not_finite(field: &str, error: NotFinite) -> Problem {
     Problem::malformed(field, format!("{field}: {error}"))
+}
+
+/// The name of a gripper or a gateway.
+pub fn gripper_or_gateway(field: &str, given: &str) -> Result<Name, Problem> {
+    given.parse().map_err(|error| Problem::malformed(field, format!("{field}: {error}")))
 }
 
 /// A JSON number that must be whole; 96.0 counts as whole.
@@ -67,6 +72,14 @@ pub fn text<const MAX: usize>(field: &str, given: &str) -> Result<Text<MAX>, Pro
         return Err(Problem::too_long(field, given.len(), MAX));
     }
     Text::new(given).ok_or_else(|| Problem::malformed(field, format!("{field} must not contain control characters")))
+}
+
+/// Id of a part, which is not empty.
+pub fn part_id(field: &str, given: &str) -> Result<PartId, Problem> {
+    if given.is_empty() {
+        return Err(Problem::malformed(field, format!("{field} must not be empty")));
+    }
+    text(field, given)
 }
 
 /// Name by which people distinguish clients, within its field's bounds.
@@ -108,10 +121,20 @@ impl fmt::Display for TextOrNumber {
 
 /// Schema of an optional [`TextOrNumber`].
 pub fn text_or_number(max_bytes: usize, description: &str) -> OneOfBuilder {
+    texts_and_numbers(None, max_bytes, description).item(ObjectBuilder::new().schema_type(Type::Null))
+}
+
+/// Schema of a [`TextOrNumber`] that is required and not empty.
+pub fn required_text_or_number(max_bytes: usize, description: &str) -> OneOfBuilder {
+    texts_and_numbers(Some(1), max_bytes, description)
+}
+
+fn texts_and_numbers(min_bytes: Option<usize>, max_bytes: usize, description: &str) -> OneOfBuilder {
     let object = |kind| ObjectBuilder::new().schema_type(kind);
-    let text = object(Type::String).max_length(Some(max_bytes)).pattern(Some(r"^[^\u0000-\u001f\u007f-\u009f]*$"));
+    let text = object(Type::String).min_length(min_bytes).max_length(Some(max_bytes));
+    let text = text.pattern(Some(r"^[^\u0000-\u001f\u007f-\u009f]*$"));
     let number = object(Type::Integer).minimum(Some(i64::MIN)).maximum(Some(i64::MAX));
-    OneOfBuilder::new().item(text).item(number).item(object(Type::Null)).description(Some(description))
+    OneOfBuilder::new().item(text).item(number).description(Some(description))
 }
 
 /// Schema of a request id.

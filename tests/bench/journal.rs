@@ -88,7 +88,7 @@ fn command(id: CommandId, at: Timestamp, gripper: &Name, event: CommandEvent) ->
 
 fn admitted(part_id: Option<PartId>) -> CommandEvent {
     let parameters = Parameters { width_mm: Some(20.0), speed_mm_s: Some(50.0), part_id, ..Parameters::default() };
-    CommandEvent::Admitted(Admitted { command: Kind::Grip, holder: None, request_id: None, parameters })
+    CommandEvent::Admitted(Box::new(Admitted { command: Kind::Grip, holder: None, request_id: None, parameters }))
 }
 
 fn done(at: Timestamp, part_id: Option<PartId>, outcome: Outcome) -> CommandEvent {
@@ -101,6 +101,7 @@ fn done(at: Timestamp, part_id: Option<PartId>, outcome: Outcome) -> CommandEven
         stalled: Some(true),
         width_mm: Some(20.1),
         force_n: Some(40.0),
+        contact_width_mm: None,
         started_at: at,
         duration_ms: Some(412),
         fast_stop_id: None,
@@ -268,6 +269,7 @@ fn grip(id: CommandId, at: Timestamp, gripper: &Name, part_id: Option<PartId>, o
         width_mm: Some(20.1),
         force_n: Some(40.0),
         peak_force_n: Some(41.5),
+        travel_mm: 39.0,
         contact_width_mm: Some(20.2),
         time_to_contact_ms: Some(300),
         samples: 40,

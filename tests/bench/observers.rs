@@ -3,7 +3,7 @@
 //! gets every event. It compares memory and processor time with a Mosquitto that fans out the same bytes.
 //!
 //! `cargo bench --bench observers`. Variables: `OBSERVERS` (1000), `STALLED` (100), `HZ` (50), `STOPS` (200 idle and
-//! 200 loaded) and `SECONDS` (10 per fan-out). Times are noisy; compare the ratios. Mosquitto is skipped if it is not
+//! 200 loaded, each of a motion) and `SECONDS` (10 per fan-out). Times are noisy; compare the ratios. Mosquitto is skipped if it is not
 //! installed.
 //!
 //! The observers run in a separate process with idle priority (`chrt --idle`, from util-linux). With two or more
@@ -28,7 +28,13 @@ use program::{Error, Running, start};
 use serde_json::{Value, json};
 
 /// Unmeasured stops at the start, idle and loaded.
-const WARM_UP: usize = 50;
+const WARM_UP: usize = 20;
+
+/// Time for which the fingers move before they are stopped, so that the observers get updates at the full rate.
+const MOVES_FOR: Duration = Duration::from_millis(100);
+
+/// Speed at which the fingers move for longer than a fan-out.
+const SLOW_MM_S: f64 = 5.0;
 
 /// Kernel clock ticks per second.
 const TICKS: f64 = 100.0;
@@ -103,8 +109,21 @@ impl Stopper {
         Ok(self.runtime.block_on(async { self.http.get(url).send().await?.json().await })?)
     }
 
+    /// Begins a slow motion towards the farther end, unless one is still running.
+    fn begin_motion(&self) -> Result<(), Error> {
+        let width_mm = if self.state()?["width_mm"].as_f64().ok_or("no width")? > 55.0 { 5.0 } else { 105.0 };
+        let begun = self.post("move?wait_ms=0", &json!({"width_mm": width_mm, "speed_mm_s": SLOW_MM_S}))?;
+        if begun["phase"] == "running" || begun["code"] == "already_running" {
+            Ok(())
+        } else {
+            Err(format!("not moving: {begun}").into())
+        }
+    }
+
     /// Returns the time from the request until the device has the frame.
     fn stop(&self) -> Result<Duration, Error> {
+        self.begin_motion()?;
+        std::thread::sleep(MOVES_FOR);
         while self.stops.try_recv().is_ok() {}
         let begun = Instant::now();
         let stopped = self.post("fast-stop", &json!({"reason": "a bench"}))?;
@@ -131,8 +150,14 @@ fn percentile(times: &[Duration], percent: usize) -> Duration {
 /// Binds the threads of a process to these processors.
 fn bind(process: u32, processors: &str) -> Result<(), Error> {
     let mut command = Command::new("taskset");
-    let bound = command.args(["-a", "-p", "-c", processors, &process.to_string()]).stdout(Stdio::null()).status()?;
-    if bound.success() { Ok(()) } else { Err(format!("taskset: {bound}").into()) }
+    command.args(["-a", "-p", "-c", processors, &process.to_string()]).stdout(Stdio::null());
+    // taskset fails if a thread ends meanwhile.
+    for _ in 0..5 {
+        if command.status()?.success() {
+            return Ok(());
+        }
+    }
+    Err(format!("taskset cannot bind process {process}").into())
 }
 
 /// Binds this process to the last processor, and returns the others for the gateway.
@@ -168,6 +193,7 @@ fn main() -> Result<(), Error> {
     let http = reqwest::Client::builder().pool_idle_timeout(Duration::from_secs(1)).build()?;
     let stopper = Stopper { runtime, http, base, stops };
     while stopper.state()?["link"] != "connected" {}
+    stopper.post("home", &json!({}))?;
     stopper.stops(WARM_UP)?;
 
     let (observers, stalled, seconds) = (number("OBSERVERS", 1000), number("STALLED", 100), number("SECONDS", 10));
@@ -176,6 +202,7 @@ fn main() -> Result<(), Error> {
     let idle = stopper.stops(count)?;
     let before = gateway.memory()?;
     let mut crowd = Crowd::start("websocket", &address)?;
+    stopper.begin_motion()?;
     let fan_out = fan_out(&mut crowd, &gateway, seconds)?;
     // Each observer's buffers grow with its first events.
     stopper.stops(WARM_UP)?;

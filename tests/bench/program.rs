@@ -15,10 +15,14 @@ impl Drop for Running {
     }
 }
 
+/// Environment variable with the path of another build of the gateway. To compare two builds, run a bench with each.
+const PROGRAM: &str = "WSG_GATEWAY_PROGRAM";
+
 /// Starts the program, and returns the output between `before` and the end of its line. Only errors are logged, so that
 /// logging is not measured.
 pub fn start(arguments: &[&str], before: &str) -> Result<(Running, String), Error> {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_wsg-gateway"));
+    let program = std::env::var(PROGRAM).unwrap_or_else(|_| env!("CARGO_BIN_EXE_wsg-gateway").to_owned());
+    let mut command = Command::new(program);
     command.env("WSG_GATEWAY_JOURNAL", ":memory:").env("WSG_GATEWAY_LOG", "error");
     let mut child = command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::null()).spawn()?;
     let lines = BufReader::new(child.stdout.take().ok_or("no output")?).lines();

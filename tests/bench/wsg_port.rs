@@ -1,26 +1,29 @@
-//! Round trip of a Loop through the WSG port, compared with a plain TCP relay (socat), alternating in one run, while
-//! three other clients use the WSG port.
+//! Round trip of a Loop through the WSG port, compared with HAProxy in TCP mode, in turn in one run, while three other
+//! clients use the WSG port.
 //!
 //! `cargo bench --bench wsg_port`. Times are noisy; compare the ratio.
 
+mod directory;
 mod program;
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
-use std::process::Command;
+use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use directory::Directory;
 use program::{Error, Running, start};
 use wsg_gateway::wsg::{self, ChecksumEvaluation, Decoded, Decoder, LoopData, Updates, id};
 
-/// Measured round trips of each kind.
-const ROUNDS: usize = 20_000;
+/// Rounds. Each measures as many round trips through HAProxy, and then through the WSG port.
+const ROUNDS: usize = 40;
+const OF_A_ROUND: usize = 500;
 
-/// Unmeasured round trips at the start.
-const WARM_UP: usize = 1000;
+/// Unmeasured rounds at the start.
+const WARM_UP: usize = 2;
 
 /// Polling interval of the other clients, as in real scripts.
 const POLLED_EVERY: Duration = Duration::from_millis(20);
@@ -80,9 +83,14 @@ fn main() -> Result<(), Error> {
         ["--listen", "127.0.0.1:0", "--zenoh-listen", zenoh, "--gripper", &gripper, "--wsg-port", "g=127.0.0.1:0"];
     let (_gateway, said) = start(&arguments, "WSG port of g: tcp://")?;
     let free = TcpListener::bind("127.0.0.1:0")?.local_addr()?.port();
-    let listen = format!("TCP-LISTEN:{free},bind=127.0.0.1,nodelay,reuseaddr");
-    let relay = Command::new("socat").args([listen, format!("TCP:{relayed},nodelay")]).spawn();
-    let _relay = Running(relay.map_err(|error| format!("socat is needed: {error}"))?);
+    let directory = Directory::new("wsg_port")?;
+    let configuration = directory.0.join("haproxy.cfg");
+    let times = "timeout connect 5s\n timeout client 1h\n timeout server 1h";
+    let relay =
+        format!("defaults\n mode tcp\n {times}\nlisten relay\n bind 127.0.0.1:{free}\n server device {relayed}\n");
+    std::fs::write(&configuration, relay)?;
+    let relay = Command::new("haproxy").args(["-db", "-f"]).arg(configuration).stderr(Stdio::null()).spawn();
+    let _relay = Running(relay.map_err(|error| format!("haproxy is needed: {error}"))?);
 
     let mut through_relay = Client::connect(&format!("127.0.0.1:{free}"))?;
     let mut through_port = Client::connect(&said)?;
@@ -97,10 +105,11 @@ fn main() -> Result<(), Error> {
     let others: Vec<_> = (0..3).map(|_| poll(said.clone(), ends.clone(), polls.clone())).collect();
     let (mut by_relay, mut by_port) = (Vec::new(), Vec::new());
     for round in 0..WARM_UP + ROUNDS {
-        let (relay, port) = (timed(&mut through_relay, &command)?, timed(&mut through_port, &command)?);
+        let relay = timed(&mut through_relay, &command)?;
+        let port = timed(&mut through_port, &command)?;
         if round >= WARM_UP {
-            by_relay.push(relay);
-            by_port.push(port);
+            by_relay.extend(relay);
+            by_port.extend(port);
         }
     }
     ends.store(true, Ordering::Relaxed);
@@ -125,22 +134,29 @@ fn poll(address: String, ends: Arc<AtomicBool>, polls: Arc<AtomicU64>) -> thread
     })
 }
 
-fn timed(client: &mut Client, command: &wsg::Command) -> Result<Duration, Error> {
-    let begun = Instant::now();
-    match client.ask(command)? {
-        0 => Ok(begun.elapsed()),
-        status => Err(format!("status {status}").into()),
-    }
+/// Returns the times of the round trips of one round.
+fn timed(client: &mut Client, command: &wsg::Command) -> Result<Vec<Duration>, Error> {
+    let timed = |_| {
+        let begun = Instant::now();
+        match client.ask(command)? {
+            0 => Ok(begun.elapsed()),
+            status => Err(format!("status {status}").into()),
+        }
+    };
+    (0..OF_A_ROUND).map(timed).collect()
 }
 
 fn report(by_relay: &mut [Duration], by_port: &mut [Duration], polls: u64) {
     by_relay.sort_unstable();
     by_port.sort_unstable();
-    println!("a Loop of 16 bytes, {ROUNDS} alternating round trips each, during {polls} polls of three other clients");
+    println!(
+        "a Loop of 16 bytes, {ROUNDS} rounds of {OF_A_ROUND} round trips each, in turn, during {polls} polls of three other \
+         clients"
+    );
     for (name, percent) in [("p50", 50), ("p99", 99)] {
         let of = |times: &[Duration]| times[(times.len() - 1) * percent / 100];
         let (relay, port) = (of(by_relay), of(by_port));
         let ratio = port.as_secs_f64() / relay.as_secs_f64();
-        println!("{name}: through socat {relay:?}, through the WSG port {port:?}, ratio {ratio:.2}");
+        println!("{name}: through HAProxy {relay:?}, through the WSG port {port:?}, ratio {ratio:.2}");
     }
 }

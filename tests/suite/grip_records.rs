@@ -91,3 +91,75 @@ async fn grip_curve_shows_approach_contact_and_force() {
     let at_contact = samples.iter().find(|sample| sample.t_ms >= figure("time_to_contact_ms")).unwrap();
     assert!((at_contact.width_mm - figure("contact_width_mm")).abs() <= ROUNDING_MM, "{at_contact:?} {record}");
 }
+
+/// A grip record of the CSV.
+#[derive(Debug, Deserialize)]
+struct Record {
+    outcome: String,
+    contact_width_mm: Option<f64>,
+    force_n: Option<f64>,
+    time_to_contact_ms: Option<f64>,
+}
+
+/// Returns mean and standard deviation of a sample, in two passes.
+fn spread(values: &[f64]) -> (f64, f64) {
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
+    (mean, (squares / (values.len() - 1) as f64).sqrt())
+}
+
+#[tokio::test]
+async fn statistics_agree_with_the_records() {
+    let device = Simulator::with_part().await;
+    let gateway = Gateway::homed_at(device.address).await;
+    let recipe = json!({"number": 1, "width_mm": 20, "speed_mm_s": 300, "accept_min_mm": 18, "accept_max_mm": 30});
+    gateway.put("/api/v1/recipes/A", &recipe).await;
+    for force_n in [20, 40, 60, 80] {
+        gateway.post("grip", &json!({"recipe": 1, "force_n": force_n})).await.outcome("PART_HELD");
+        gateway.post("release", &json!({"width_mm": 30, "speed_mm_s": 300})).await.outcome("SUCCESS");
+    }
+    let of_other = json!({"part_id": "B", "width_mm": 5, "speed_mm_s": 300});
+    gateway.post("grip", &of_other).await.ok();
+    let csv = eventually("the grip records", async || {
+        let csv = gateway.get("/api/v1/grips.csv?part_id=A&order=oldest").await.ok();
+        Some(csv.as_str().unwrap().to_owned()).filter(|csv| csv.lines().count() == 5)
+    });
+    let csv = csv.await;
+    let records = csv::Reader::from_reader(csv.as_bytes()).into_deserialize();
+    let records: Vec<Record> = records.collect::<Result<_, _>>().unwrap();
+    let of_part = gateway.get("/api/v1/grips/statistics?part_id=A").await.ok();
+    assert_eq!(of_part["count"], 4, "{of_part}");
+    assert_eq!(of_part["outcomes"], json!([{"outcome": "PART_HELD", "count": 4, "rate": 1.0}]));
+    assert!(records.iter().all(|record| record.outcome == "PART_HELD"));
+    let column = |value: fn(&Record) -> Option<f64>| records.iter().filter_map(value).collect::<Vec<_>>();
+    let columns = [
+        ("contact_width_mm", column(|record| record.contact_width_mm)),
+        ("force_n", column(|record| record.force_n)),
+        ("time_to_contact_ms", column(|record| record.time_to_contact_ms)),
+    ];
+    let is = |figure: &serde_json::Value, expected: f64| (figure.as_f64().unwrap() - expected).abs() < 1e-9;
+    for (name, values) in &columns {
+        let (mean, deviation) = spread(values);
+        let (min, max) = (values.iter().copied().reduce(f64::min), values.iter().copied().reduce(f64::max));
+        let found = &of_part[name];
+        let agrees = is(&found["mean"], mean) && is(&found["standard_deviation"], deviation);
+        assert!(agrees && is(&found["min"], min.unwrap()) && is(&found["max"], max.unwrap()), "{name}: {of_part}");
+    }
+    let widths = &columns[0].1;
+    let (mean, deviation) = spread(widths);
+    assert!(is(&of_part["cpk"], (mean - 18.0) / (3.0 * deviation)), "{of_part}");
+    let average = widths.iter().copied().reduce(|average, width| 0.8 * average + 0.2 * width).unwrap();
+    assert!(is(&of_part["moving_average_mm"], average), "{of_part}");
+
+    let newest = gateway.get("/api/v1/grips/statistics?part_id=A&window=2&gripper=g").await.ok();
+    assert!(is(&newest["contact_width_mm"]["mean"], f64::midpoint(widths[2], widths[3])), "{newest}");
+    let nothing = gateway.get("/api/v1/grips/statistics?gripper=h").await.ok();
+    assert_eq!((&nothing["count"], &nothing["force_n"]["mean"]), (&json!(0), &json!(null)));
+    for (query, field) in
+        [("window=5", "window"), ("part_id=A&window=0", "window"), ("griper=g", "griper"), ("from=today", "from")]
+    {
+        let refused = gateway.get(&format!("/api/v1/grips/statistics?{query}")).await;
+        assert!(refused.status == 400 || refused.status == 422, "{query}: {}", refused.body);
+        assert_eq!(refused.body["field"], field, "{query}");
+    }
+}

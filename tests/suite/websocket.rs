@@ -390,9 +390,9 @@ async fn every_answer_matches_its_description() {
     let all = socket.call("fast-stop", json!({})).await;
     assert_eq!(all["confirmed"], json!(["g"]));
     let mut state = json!({"jsonrpc": "2.0", "method": "state", "params": gateway.state().await});
-    assert!(socket.is_described("state.notification", &state));
+    assert!(Socket::is_described("state.notification", &state));
     state["params"]["seq"] = "newest".into();
-    assert!(!socket.is_described("state.notification", &state));
+    assert!(!Socket::is_described("state.notification", &state));
     let served = gateway.get("/api/v1/asyncapi.yaml").await;
     assert_eq!(served.body.as_str(), Some(wsg_gateway::interfaces::http::asyncapi().unwrap().as_str()));
 }
@@ -429,7 +429,6 @@ async fn lease_without_a_ttl_lives_as_long_as_its_socket() {
 async fn lease_retaken_on_another_socket_survives_the_first() {
     let (_device, gateway) = connected().await;
     let mut before = Socket::open(&gateway).await;
-    // Opening a socket can take longer than a ping waits for its answer.
     let mut socket = Socket::open(&gateway).await;
     let lease = before.call("lease.take", json!({"gripper": "g", "holder": "robot"})).await;
     let again = socket.call("lease.take", json!({"gripper": "g", "holder": "robot", "lease": lease["token"]})).await;

@@ -53,6 +53,7 @@ impl Actor {
             }
             _ => return,
         };
+        self.motion.see();
         self.recording.flags(now, before, flags);
         self.notice_restart(now, before, flags);
         self.notice_foreign_motion(now, before, flags);

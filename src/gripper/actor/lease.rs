@@ -16,18 +16,18 @@ use crate::wsg::SystemState;
 impl Actor {
     /// Checks that a request with this token, or without one, can make changes.
     pub(super) fn check_claim(&self, now: Now, client: &Client, token: Option<&LeaseToken>) -> Result<(), Conflict> {
-        if !client.door.speaks_wsg() {
+        if !client.door.takes_lease_by_motion() {
             return self.lease.check(now.instant, client, token);
         }
-        // A client of the WSG port has its connection's own token, which is never stale.
+        // The client has its connection's own token, which is never stale.
         let is_holder = token.is_some() && self.lease.token() == token;
         if is_holder || self.lease.is_free_for(client) { Ok(()) } else { self.lease.check(now.instant, client, None) }
     }
 
-    /// Takes a free lease for a client of the WSG port that moves the fingers.
+    /// Takes a free lease for a client that moves the fingers, if motions from its interface take a free lease.
     pub(super) fn claim(&mut self, now: Now, client: &Client, token: Option<&LeaseToken>) -> Result<(), Rejection> {
         match token {
-            Some(token) if client.door.speaks_wsg() && self.lease.is_free_for(client) => {
+            Some(token) if client.door.takes_lease_by_motion() && self.lease.is_free_for(client) => {
                 self.try_take_lease(now, &TakeLease::by(client.clone()), token.clone())
             }
             _ => Ok(()),
@@ -136,11 +136,12 @@ impl Actor {
     }
 
     /// Effect of the loss of a holder with these terms. It depends on whether the fingers moved at `last_heard`, and on
-    /// whether a part is held.
+    /// whether a part is held. A Stop can't wait for a lost link, but a FAST STOP can.
     fn loss_effect(&self, terms: Terms, last_heard: Instant) -> LossEffect {
         match (self.is_moving(last_heard), self.observed.part.is_held) {
             (true, _) => match terms.on_loss_moving {
                 OnLossMoving::FastStop => LossEffect::FastStop,
+                OnLossMoving::Stop if self.link.session.is_none() => LossEffect::FastStop,
                 OnLossMoving::Stop => LossEffect::Stop,
                 OnLossMoving::Finish => LossEffect::Finish,
             },
@@ -182,9 +183,11 @@ impl Actor {
         self.streaming.stopped();
     }
 
-    /// Whether the fingers are known to move or to be about to, or a stream was active at `at`.
+    /// Whether the fingers are known to move or to be about to, a stream was active at `at`, or a motion that was
+    /// running when the link was lost may still be running.
     pub(super) fn is_moving(&self, at: Instant) -> bool {
-        self.motion.is_under_way() || self.observed.has(SystemState::MOVING) || self.is_streaming(at)
+        let moves_unseen = self.motion.moves_unseen(at);
+        self.motion.is_under_way() || self.observed.has(SystemState::MOVING) || self.is_streaming(at) || moves_unseen
     }
 
     /// Withdraws a waiting motion, and sends a Stop if the fingers move.

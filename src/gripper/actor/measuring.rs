@@ -4,8 +4,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::super::Now;
-use super::super::curve::{MotionCurve, TAIL};
-use super::super::model::{CommandId, CommandReport, GripRecord, Kind, Motion, Outcome, PartId};
+use super::super::curve::{Contact, MotionCurve, TAIL};
+use super::super::model::{CommandId, CommandReport, GripRecord, Motion, Outcome, PartId};
 use super::super::observed::Observed;
 use super::super::recorder::Record;
 use super::recording::Recording;
@@ -17,6 +17,8 @@ pub(super) struct Measured {
     part_id: Option<PartId>,
     serial_number: Option<u32>,
     curve: MotionCurve,
+    /// Contact as judged at the end of a grip with a part.
+    contact: Option<Contact>,
     /// End time of the curve, and the ended command.
     ended: Option<(Instant, Arc<CommandReport>)>,
 }
@@ -28,7 +30,8 @@ impl Recording {
             Motion::Grip { part_id, .. } => part_id.clone(),
             _ => None,
         };
-        self.measured = Some(Measured { id, part_id, serial_number, curve: MotionCurve::default(), ended: None });
+        let curve = MotionCurve::default();
+        self.measured = Some(Measured { id, part_id, serial_number, curve, contact: None, ended: None });
     }
 
     /// Takes a sample, if all values are known.
@@ -45,6 +48,19 @@ impl Recording {
         self.measured.as_ref().filter(|measured| measured.id == id)?.part_id.clone()
     }
 
+    /// Determines the contact of a grip that has ended with a part, and returns its width in mm. The record of the grip
+    /// has the same contact, however the force develops afterwards.
+    pub(super) fn judge_contact(&mut self, id: CommandId) -> Option<f32> {
+        let measured = self.measured.as_mut().filter(|measured| measured.id == id)?;
+        measured.contact = measured.curve.contact();
+        measured.contact.map(|contact| contact.width_mm)
+    }
+
+    /// Force with the greatest magnitude that was measured during this command, in N.
+    pub(super) fn peak_force_n(&self, id: CommandId) -> Option<f32> {
+        self.measured.as_ref().filter(|measured| measured.id == id)?.curve.peak_force_n()
+    }
+
     /// End of the current curve's tail.
     pub(super) fn curve_ends_at(&self) -> Option<Instant> {
         Some(self.measured.as_ref()?.ended.as_ref()?.0)
@@ -55,7 +71,7 @@ impl Recording {
         // A refused command moved nothing.
         self.measured.take_if(|measured| measured.id == command.id && command.outcome == Some(Outcome::Refused));
         if let Some(measured) = self.measured.as_mut().filter(|measured| measured.id == command.id) {
-            let tail = if command.kind == Kind::Grip { TAIL } else { Duration::ZERO };
+            let tail = if command.kind.is_grip() { TAIL } else { Duration::ZERO };
             measured.ended = Some((now.instant + tail, command.clone()));
         }
     }
@@ -63,9 +79,11 @@ impl Recording {
     /// Records the curve so far.
     pub(super) fn finish_measuring(&mut self) {
         let Some(measured) = self.measured.take() else { return };
-        let Measured { part_id, serial_number, curve, ended: Some((_, command)), .. } = measured else { return };
-        let contact = curve.contact().filter(|_| command.kind == Kind::Grip);
-        let peak_force_n = curve.peak_force_n();
+        let Measured { part_id, serial_number, curve, contact, ended: Some((_, command)), .. } = measured else {
+            return;
+        };
+        let contact = contact.or_else(|| curve.contact()).filter(|_| command.kind.is_grip());
+        let (peak_force_n, travel_mm) = (curve.peak_force_n(), curve.travel_mm());
         let curve = curve.into_samples();
         let record = GripRecord {
             id: command.id,
@@ -84,6 +102,7 @@ impl Recording {
             width_mm: command.width_mm,
             force_n: command.force_n,
             peak_force_n,
+            travel_mm,
             contact_width_mm: contact.map(|contact| contact.width_mm),
             time_to_contact_ms: contact.map(|contact| contact.after_ms),
             samples: curve.len(),

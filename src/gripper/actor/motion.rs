@@ -4,7 +4,7 @@ use tokio::sync::oneshot;
 
 use super::super::Now;
 use super::super::error::{Conflict, DeviceRefusal, Failure, MotionError, Rejection};
-use super::super::model::{Client, CommandId, CommandReport, Kind, Motion, Outcome};
+use super::super::model::{AcceptedWidths, Client, CommandId, CommandReport, Kind, Motion, Outcome};
 use super::super::observed::HeldPart;
 use super::link::{NotSubmitted, Purpose};
 use super::running::{Running, Settling, Stage, outcome_of, result_within};
@@ -123,13 +123,20 @@ impl Actor {
             Stage::Settling(Settling { outcome, status, .. }) => (outcome, status),
             // The motion may have happened.
             Stage::Sent(_) if !unwritten => {
+                self.motion.lose_sight();
                 running.unknown_because = Some(self.link.failure());
                 (Outcome::Unknown, None)
             }
             _ => return self.reject(now, running.id, self.link.failure().into()),
         };
+        let is_held = outcome.holds_part();
+        let contact_width_mm = if is_held { self.recording.judge_contact(running.id) } else { None };
+        let outcome = self.judged(outcome, &running.motion, contact_width_mm);
+        let peak_force_n = self.recording.peak_force_n(running.id);
         self.end(now, running.id, |record| {
             record.set_outcome(outcome);
+            record.contact_width_mm = contact_width_mm;
+            record.peak_force_n = peak_force_n;
             if let Some(status) = status {
                 record.set_status(status);
                 if matches!(outcome, Outcome::Blocked | Outcome::Range | Outcome::Timeout | Outcome::Failed) {
@@ -146,6 +153,16 @@ impl Actor {
             }
             record.payload = running.payload.map(|payload| hex::encode(payload).into());
         });
+    }
+
+    /// Judges a grip with a part by its recipe. Without a measured contact, the width at the end counts; without any
+    /// width, the part is not known to be the right one.
+    fn judged(&self, outcome: Outcome, motion: &Motion, contact_width_mm: Option<f32>) -> Outcome {
+        let Motion::Grip { recipe: Some(recipe), .. } = motion else { return outcome };
+        let width_mm = contact_width_mm.or(self.observed.width_mm);
+        let is_right =
+            recipe.accepted == AcceptedWidths::default() || width_mm.is_some_and(|mm| recipe.accepted.accept(mm));
+        if outcome == Outcome::PartHeld && !is_right { Outcome::WrongPart } else { outcome }
     }
 
     /// Aborts the motion for a FAST STOP: a waiting motion ends at once, a running one with its reply.
@@ -251,7 +268,8 @@ impl Actor {
             record.force_n = force_n.filter(|_| known);
             if !matches!(record.kind, Kind::Stop | Kind::Custom) && known {
                 record.reached_goal = Some(matches!(record.outcome, Some(Outcome::Success | Outcome::PartHeld)));
-                record.stalled = Some(matches!(record.outcome, Some(Outcome::PartHeld | Outcome::Blocked)));
+                record.stalled =
+                    Some(record.outcome.is_some_and(|outcome| outcome.holds_part() || outcome == Outcome::Blocked));
             }
         });
         if let Some((client, record)) = ended {
@@ -260,7 +278,7 @@ impl Actor {
                 return;
             }
             self.recording.done(now, &client, &record);
-            if record.outcome == Some(Outcome::PartHeld) {
+            if record.outcome.is_some_and(Outcome::holds_part) {
                 self.observed.part.grip = Some(id);
             }
             tracing::info!(gripper = %self.config.name, command = %id, kind = %record.kind,

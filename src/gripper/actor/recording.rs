@@ -125,7 +125,7 @@ impl Recording {
             request_id: submission.request_id.clone(),
             parameters: Parameters::from(&submission.action),
         };
-        let detail = Detail::Command(CommandEvent::Admitted(admitted));
+        let detail = Detail::Command(CommandEvent::Admitted(Box::new(admitted)));
         let event = self.event(now, detail).by(&submission.client).of(command.id);
         self.outbox.push_back((Record::Event(event, None), Some(command.id)));
         self.unrecorded.push_back((now.instant + RECORDED_WITHIN, command.id));

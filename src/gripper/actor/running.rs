@@ -139,11 +139,13 @@ pub(super) struct MotionState {
     pub last_end: Option<Instant>,
     /// Time until which the fingers can move because of a motion that has ended.
     may_move_until: Option<Instant>,
+    /// The same time, if the loss of the link ended the motion, and no flags have arrived since.
+    unseen_until: Option<Instant>,
 }
 
 impl MotionState {
     pub(super) fn new(pause: Duration) -> Self {
-        Self { pause, running: None, last_end: None, may_move_until: None }
+        Self { pause, running: None, last_end: None, may_move_until: None, unseen_until: None }
     }
 
     pub(super) fn set_pause(&mut self, pause: Duration) {
@@ -239,6 +241,21 @@ impl MotionState {
         self.running.as_ref().is_some_and(|running| !running.is_waiting())
     }
 
+    /// Notes that the loss of the link has ended the motion.
+    pub(super) fn lose_sight(&mut self) {
+        self.unseen_until = self.may_move_until;
+    }
+
+    /// Notes that flags have arrived.
+    pub(super) fn see(&mut self) {
+        self.unseen_until = None;
+    }
+
+    /// Whether the fingers can be moving because of a motion that the loss of the link ended.
+    pub(super) fn moves_unseen(&self, at: Instant) -> bool {
+        self.unseen_until.is_some_and(|until| at < until)
+    }
+
     /// Whether the fingers can be moving because of a command of this gateway.
     pub(super) fn may_move(&self, now: Instant) -> bool {
         self.is_sent() || self.may_move_until.is_some_and(|until| now < until)
@@ -248,8 +265,8 @@ impl MotionState {
 /// Outcome of an accepted motion that ended with this status (`fw4-en 3.2`).
 pub(super) fn outcome_of(kind: Kind, status: Status) -> Outcome {
     match (kind, status) {
-        (Kind::Grip, Status::E_SUCCESS) => Outcome::PartHeld,
-        (Kind::Grip, Status::E_CMD_FAILED) => Outcome::NoPart,
+        (kind, Status::E_SUCCESS) if kind.is_grip() => Outcome::PartHeld,
+        (kind, Status::E_CMD_FAILED) if kind.is_grip() => Outcome::NoPart,
         (_, Status::E_SUCCESS) => Outcome::Success,
         (_, Status::E_CMD_ABORTED) => Outcome::Aborted,
         (_, Status::E_AXIS_BLOCKED) => Outcome::Blocked,
@@ -280,6 +297,7 @@ mod tests {
     fn grip_without_a_part_is_not_a_failure() {
         assert_eq!(outcome_of(Kind::Grip, Status::E_SUCCESS), Outcome::PartHeld);
         assert_eq!(outcome_of(Kind::Grip, Status::E_CMD_FAILED), Outcome::NoPart);
+        assert_eq!(outcome_of(Kind::Reference, Status::E_SUCCESS), Outcome::PartHeld);
         assert_eq!(outcome_of(Kind::Release, Status::E_CMD_FAILED), Outcome::Failed);
         assert_eq!(outcome_of(Kind::Move, Status::E_AXIS_BLOCKED), Outcome::Blocked);
         assert_eq!(outcome_of(Kind::Move, Status::from_code(4711)), Outcome::Failed);

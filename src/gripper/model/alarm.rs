@@ -6,7 +6,7 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::{AlarmId, ClientLabel, FastStopId, Name};
+use super::{AlarmId, ClientLabel, FastStopId, Name, PartId};
 
 /// Condition that raises an alarm.
 ///
@@ -23,6 +23,8 @@ use super::{AlarmId, ClientLabel, FastStopId, Name};
 /// - `journal_damaged`: earlier records of the journal are damaged
 /// - `gateway_gone`: another gateway of the fleet is gone
 /// - `temperature_warning`, `script_failure`: a warning flag of the device
+/// - `drift_warning`: the contact widths of a part or gauge drift
+/// - `maintenance_due`: the finger set has reached one of its maintenance limits
 #[derive(
     Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, ToSchema, strum::VariantArray,
 )]
@@ -45,6 +47,8 @@ pub enum AlarmKind {
     GatewayGone,
     TemperatureWarning,
     ScriptFailure,
+    DriftWarning,
+    MaintenanceDue,
 }
 
 impl AlarmKind {
@@ -65,7 +69,11 @@ impl AlarmKind {
             | Self::JournalDown
             | Self::JournalDamaged
             | Self::GatewayGone => AlarmPriority::High,
-            Self::LinkReleased | Self::TemperatureWarning | Self::ScriptFailure => AlarmPriority::Low,
+            Self::LinkReleased
+            | Self::TemperatureWarning
+            | Self::ScriptFailure
+            | Self::DriftWarning
+            | Self::MaintenanceDue => AlarmPriority::Low,
         }
     }
 }
@@ -82,8 +90,8 @@ pub enum AlarmPriority {
 /// What raised an alarm.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
 pub struct AlarmCause {
-    /// Cause as text: the cause of a FAST STOP or of a lost link, or the name of a lost lease holder. Null if the kind
-    /// of the alarm says everything.
+    /// Cause as text: the cause of a FAST STOP or of a lost link, the name of a lost lease holder, the figures of a drift,
+    /// or the use of a finger set. Null if the kind of the alarm says everything.
     #[schema(value_type = Option<String>, required)]
     pub cause: Option<Arc<str>>,
     /// Id of the FAST STOP; null for other alarms.
@@ -95,6 +103,10 @@ pub struct AlarmCause {
     /// Reason given for the FAST STOP, may be empty; null for other alarms.
     #[schema(value_type = Option<String>, required)]
     pub fast_stop_reason: Option<Arc<str>>,
+    /// Id of the part or gauge whose contact widths drift; null for other alarms.
+    #[serde(default)]
+    #[schema(value_type = Option<String>, required, max_length = 48)]
+    pub part_id: Option<PartId>,
 }
 
 /// An alarm that is active, or not acknowledged yet.
@@ -103,7 +115,7 @@ pub struct AlarmCause {
 #[schema(as = RaisedAlarm, example = json!({
     "id": "019aa5c8-5a71-7d02-8c11-5b6f0e2d9a34", "alarm": "link_down", "priority": "high", "gripper": "left",
     "gateway": null, "cause": "connection refused", "fast_stop_id": null, "fast_stop_by": null,
-    "fast_stop_reason": null, "began_at": "2026-11-21T09:00:00.250Z", "ended_at": null, "count": 1,
+    "fast_stop_reason": null, "part_id": null, "began_at": "2026-11-21T09:00:00.250Z", "ended_at": null, "count": 1,
     "acknowledged_at": null, "acknowledged_by": null
 }))]
 pub struct Alarm {

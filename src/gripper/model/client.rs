@@ -14,6 +14,7 @@ use super::HolderName;
 /// - `ws`: WebSocket
 /// - `zenoh`: Zenoh
 /// - `wsg`: the WSG port, which speaks the device's own protocol
+/// - `modbus`: Modbus TCP
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Door {
@@ -21,11 +22,18 @@ pub enum Door {
     Ws,
     Zenoh,
     Wsg,
+    Modbus,
 }
 
 impl Door {
-    /// Whether clients of this interface speak the device's own protocol. They can't take a lease themselves, so their
-    /// motions take a free lease implicitly. They also expect a device that clamps values to its limits.
+    /// Whether motions from this interface take a free lease. The lease ends with the client's connection.
+    #[must_use]
+    pub const fn takes_lease_by_motion(self) -> bool {
+        matches!(self, Self::Wsg | Self::Modbus)
+    }
+
+    /// Whether clients of this interface speak the device's own protocol. They expect a device that clamps values to its
+    /// limits.
     #[must_use]
     pub const fn speaks_wsg(self) -> bool {
         matches!(self, Self::Wsg)

@@ -39,6 +39,8 @@ macro_rules! codes {
         /// - `unauthorized`: the request needs a valid credential.
         /// - `forbidden`: the client's role or grippers do not allow the request.
         /// - `invalid_configuration`: the new configuration cannot be used, so nothing has changed.
+        /// - `precondition_failed`: the recipe does not have the version that the request expects.
+        /// - `number_taken`: the number belongs to another recipe.
         #[derive(
             Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, strum::IntoStaticStr, strum::VariantArray,
         )]
@@ -94,6 +96,8 @@ codes! {
     Unauthorized 28 401;
     Forbidden 29 403;
     InvalidConfiguration 30 409;
+    PreconditionFailed 31 412;
+    NumberTaken 32 409;
 }
 
 impl Code {
@@ -144,6 +148,8 @@ mod tests {
             (28, "unauthorized"),
             (29, "forbidden"),
             (30, "invalid_configuration"),
+            (31, "precondition_failed"),
+            (32, "number_taken"),
         ];
         for pinned in pinned {
             assert!(numbers.contains(&pinned), "{pinned:?}");

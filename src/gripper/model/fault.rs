@@ -98,6 +98,7 @@ mod tests {
             (8, "FAILED"),
             (9, "REFUSED"),
             (10, "UNKNOWN"),
+            (11, "WRONG_PART"),
         ];
         assert_eq!(codes, pinned);
         for (code, name) in pinned {

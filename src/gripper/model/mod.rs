@@ -23,11 +23,12 @@ mod ids;
 pub mod lease;
 mod names;
 mod parameters;
+mod recipe;
 mod record;
 mod state;
 mod status;
 mod text;
-mod time;
+pub mod time;
 mod updates;
 mod urgency;
 
@@ -37,7 +38,7 @@ pub use code::Code;
 pub use custom::CustomIds;
 pub use event::{
     AcknowledgeEvent, Admitted, CommandEvent, Detail, DeviceEvent, Done, Event, FastStopEvent, FastStopStep,
-    GatewayEvent, LinkEvent, RefusedEvent, SettingChange, SettingsEvent,
+    FingerSetChange, GatewayEvent, LinkEvent, RefusedEvent, SettingChange, SettingsEvent,
 };
 pub use fault::Fault;
 pub use frame::{DamageRecord, FrameDirection, FrameRecord, WireDamage, WireRecord};
@@ -47,6 +48,10 @@ pub use lease::{
     OnLossMoving, TakeLease,
 };
 pub use parameters::{Direction, OnBlock, Parameters};
+pub use recipe::{
+    AcceptedWidths, AppliedRecipe, Recipe, RecipeDescription, RecipeEvent, RecipeFields, RecipeNumber, RecipeStep,
+    RecipeValues,
+};
 pub use record::{GripRecord, OnJournalFailure, PersistedKey, PersistedState, RequestedValues, Sample};
 pub use state::{FastStopCause, Latch, LatchFields, Link, State, Telemetry};
 pub use status::GripperStatus;
@@ -119,6 +124,9 @@ pub enum Motion {
         /// Force limit to set first; it stays set.
         force: Option<Force>,
         part_id: Option<PartId>,
+        recipe: Option<AppliedRecipe>,
+        /// Whether the part is a gauge.
+        is_reference: bool,
     },
     /// Release Part (26h).
     Release {
@@ -149,6 +157,7 @@ impl Motion {
         match self {
             Self::Home(_) => Kind::Home,
             Self::Move { .. } => Kind::Move,
+            Self::Grip { is_reference: true, .. } => Kind::Reference,
             Self::Grip { .. } => Kind::Grip,
             Self::Release { .. } => Kind::Release,
             Self::Custom(_) => Kind::Custom,
@@ -172,7 +181,9 @@ impl Action {
         Some(Self::Motion(match *request {
             C::Homing(direction) => Motion::Home(direction),
             C::PrePosition { flags, width, speed } => Motion::Move { flags, width, speed },
-            C::Grip { width, speed } => Motion::Grip { width, speed, force: None, part_id: None },
+            C::Grip { width, speed } => {
+                Motion::Grip { width, speed, force: None, part_id: None, recipe: None, is_reference: false }
+            }
             C::Release { width, speed } => Motion::Release { width, speed },
             C::Stop => return Some(Self::Stop),
             _ => return None,
@@ -206,6 +217,7 @@ pub struct Submission {
 /// - `release`: Release Part (26h)
 /// - `stop`: Stop (22h)
 /// - `custom`: a custom command, run by a script on the device
+/// - `reference`: reference grip: Grip Part (25h) on a gauge, to detect wear of the fingers
 #[derive(
     Debug,
     Clone,
@@ -229,6 +241,15 @@ pub enum Kind {
     Release,
     Stop,
     Custom,
+    Reference,
+}
+
+impl Kind {
+    /// Whether the device gets Grip Part (25h).
+    #[must_use]
+    pub const fn is_grip(self) -> bool {
+        matches!(self, Self::Grip | Self::Reference)
+    }
 }
 
 /// Whether a command has ended.
@@ -254,6 +275,7 @@ pub enum Phase {
 /// - `FAILED`: the device ended the command with another status code
 /// - `REFUSED`: rejected before the device accepted the command, after the client had already received 202
 /// - `UNKNOWN`: the result never arrived; the motion may or may not have happened
+/// - `WRONG_PART`: the grip holds a part whose contact width is outside the limits of the recipe
 #[derive(
     Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema, strum::IntoStaticStr, strum::VariantArray,
 )]
@@ -270,6 +292,7 @@ pub enum Outcome {
     Failed,
     Refused,
     Unknown,
+    WrongPart,
 }
 
 impl Outcome {
@@ -287,6 +310,7 @@ impl Outcome {
             Self::Failed => 8,
             Self::Refused => 9,
             Self::Unknown => 10,
+            Self::WrongPart => 11,
         }
     }
 
@@ -294,6 +318,12 @@ impl Outcome {
     #[must_use]
     pub const fn is_ok(self) -> bool {
         matches!(self, Self::Success | Self::PartHeld)
+    }
+
+    /// Whether the command ended with a part between the fingers, the right one or not.
+    #[must_use]
+    pub const fn holds_part(self) -> bool {
+        matches!(self, Self::PartHeld | Self::WrongPart)
     }
 }
 
@@ -326,8 +356,8 @@ pub struct CommandReport {
     /// Result of the command as a number:
     ///
     /// - 0: the command runs
-    /// - 1 to 10: `SUCCESS`, `PART_HELD`, `NO_PART`, `BLOCKED`, `ABORTED`, `RANGE`, `TIMEOUT`, `FAILED`, `REFUSED`,
-    ///   `UNKNOWN`
+    /// - 1 to 11: `SUCCESS`, `PART_HELD`, `NO_PART`, `BLOCKED`, `ABORTED`, `RANGE`, `TIMEOUT`, `FAILED`, `REFUSED`,
+    ///   `UNKNOWN`, `WRONG_PART`
     #[schema(minimum = 0, maximum = 255)]
     pub outcome_code: u8,
     /// Symbol of the last status code from the device, such as `E_SUCCESS`; null if the device sent none.
@@ -348,6 +378,13 @@ pub struct CommandReport {
     /// Gripping force at the end, in N; null while running or if unknown.
     #[schema(required, minimum = -10000, maximum = 10000)]
     pub force_n: Option<f32>,
+    /// Opening width at which the fingers met the part, in mm; absent unless a part was gripped.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false, minimum = -1000, maximum = 1000)]
+    pub contact_width_mm: Option<f32>,
+    /// Force with the greatest magnitude up to the end of a grip, in N. Its record has the force of a longer time.
+    #[serde(skip)]
+    pub peak_force_n: Option<f32>,
     /// Time of admission.
     #[serde(serialize_with = "time::milliseconds")]
     #[schema(value_type = String, format = DateTime)]
@@ -400,11 +437,19 @@ pub struct CommandReport {
 impl CommandReport {
     #[must_use]
     pub fn admitted(id: CommandId, gripper: Name, submission: &Submission, at: Timestamp) -> Self {
+        let requested = RequestedValues::of(&submission.action, submission.request_id.clone());
+        let subject = submission.client.subject.clone();
+        Self { requested, ..Self::running(id, gripper, submission.action.kind(), subject, at) }
+    }
+
+    /// Returns the report of a running command. All other fields are empty.
+    #[must_use]
+    pub fn running(id: CommandId, gripper: Name, kind: Kind, subject: Arc<str>, at: Timestamp) -> Self {
         Self {
             id,
             gripper,
             number: None,
-            kind: submission.action.kind(),
+            kind,
             phase: Phase::Running,
             outcome: None,
             outcome_code: 0,
@@ -414,16 +459,18 @@ impl CommandReport {
             stalled: None,
             width_mm: None,
             force_n: None,
+            contact_width_mm: None,
+            peak_force_n: None,
             started_at: at,
             duration_ms: None,
-            subject: submission.client.subject.clone(),
-            client: submission.client.subject.clone(),
+            client: subject.clone(),
+            subject,
             replayed: false,
             fast_stop_id: None,
             payload: None,
             code: None,
             detail: None,
-            requested: RequestedValues::of(&submission.action, submission.request_id.clone()),
+            requested: RequestedValues::default(),
             rejection: None,
             cancelled_by: None,
             recorded: false,

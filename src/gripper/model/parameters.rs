@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::{Action, Motion, PartId};
+use super::{Action, Motion, PartId, RecipeFields};
 use crate::wsg::{Force, HomingDirection};
 
 /// Parameters of a command, named as in the request. Those that do not apply are absent.
@@ -37,6 +37,8 @@ pub struct Parameters {
     #[serde(skip_serializing_if = "Option::is_none", default)]
     #[schema(value_type = Option<String>, nullable = false, max_length = 48)]
     pub part_id: Option<PartId>,
+    #[serde(flatten)]
+    pub recipe: RecipeFields,
     /// Id of a custom command.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     #[schema(nullable = false)]
@@ -105,11 +107,12 @@ impl From<&Action> for Parameters {
                 on_block: Some(if flags.stop_on_block { OnBlock::Stop } else { OnBlock::Clamp }),
                 ..Self::default()
             },
-            Motion::Grip { width, speed, force, part_id } => Self {
+            Motion::Grip { width, speed, force, part_id, recipe, .. } => Self {
                 width_mm: Some(width.mm()),
                 speed_mm_s: Some(speed.mm_s()),
                 force_n: force.map(Force::n),
                 part_id: part_id.clone(),
+                recipe: recipe.as_ref().map(RecipeFields::from).unwrap_or_default(),
                 ..Self::default()
             },
             Motion::Release { width, speed } => {

@@ -6,7 +6,7 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::{Action, Code, CommandId, Kind, Name, Outcome, Parameters, PartId, RequestId};
+use super::{Action, Code, CommandId, Kind, Name, Outcome, Parameters, PartId, RecipeFields, RequestId};
 
 /// Result and measurements of a motion.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
@@ -24,7 +24,7 @@ pub struct GripRecord {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false, format = Int64)]
     pub serial_number: Option<u32>,
-    /// Kind of the command: `home`, `move`, `grip` or `release`.
+    /// Kind of the command: `home`, `move`, `grip`, `reference` or `release`.
     pub kind: Kind,
     /// Name of the part; null if none was given.
     #[schema(value_type = Option<String>, required, max_length = 48)]
@@ -61,6 +61,9 @@ pub struct GripRecord {
     /// Measured force with the greatest magnitude, in N.
     #[schema(required)]
     pub peak_force_n: Option<f32>,
+    /// Distance that the fingers moved relative to each other, in mm. Absent from older records.
+    #[schema(value_type = Option<f32>, nullable = false)]
+    pub travel_mm: f32,
     /// Opening width at which the fingers met the part, in mm; only for a grip.
     #[schema(required)]
     pub contact_width_mm: Option<f32>,
@@ -99,6 +102,8 @@ pub struct RequestedValues {
     #[serde(skip_serializing_if = "Option::is_none", default)]
     #[schema(nullable = false)]
     pub requested_force_n: Option<f32>,
+    #[serde(flatten)]
+    pub recipe: RecipeFields,
 }
 
 impl RequestedValues {
@@ -116,6 +121,7 @@ impl From<&Parameters> for RequestedValues {
             requested_width_mm: parameters.width_mm,
             requested_speed_mm_s: parameters.speed_mm_s,
             requested_force_n: parameters.force_n,
+            recipe: parameters.recipe,
         }
     }
 }
@@ -161,6 +167,10 @@ pub enum PersistedKey {
     LastCommand,
     /// Alarms that are active or not acknowledged, under the gateway's name.
     Alarms,
+    /// Versions of the recipes, under the gateway's name.
+    Recipes,
+    /// Finger set, and drift of contact widths.
+    Wear,
 }
 
 /// Treatment of motions while the journal cannot be written.

@@ -108,7 +108,7 @@ impl CommandRegistry {
         let Some(key) = key(submission) else { return Ok(None) };
         let found = self.motion_ids.find(now, &key).or_else(|| self.frequent_ids.find(now, &key));
         match found {
-            Some((was_asked, ticket)) if *was_asked == asked(submission) => {
+            Some((was_asked, ticket)) if is_repetition(was_asked, &asked(submission)) => {
                 Ok(Some(Ticket { replayed: true, ..ticket.clone() }))
             }
             Some(_) => Err(Conflict::RequestIdReused),
@@ -258,6 +258,13 @@ impl CommandRegistry {
 
 fn asked(submission: &Submission) -> (Kind, Parameters) {
     (submission.action.kind(), Parameters::from(&submission.action))
+}
+
+/// Whether a request repeats an earlier one. The values of its recipe can have changed in between.
+fn is_repetition(earlier: &(Kind, Parameters), now: &(Kind, Parameters)) -> bool {
+    let [one, other] = [earlier, now].map(|(_, parameters)| &parameters.recipe);
+    let has_changed = one.recipe.is_some() && one.recipe == other.recipe && one.recipe_version != other.recipe_version;
+    earlier == now || has_changed && earlier.0 == now.0 && earlier.1.part_id == now.1.part_id
 }
 
 fn key(submission: &Submission) -> Option<Key> {

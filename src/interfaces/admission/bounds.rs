@@ -52,6 +52,8 @@ pub struct Bounds {
     pub(super) leaving: usize,
     /// Connections that are inspected while too many others are leaving.
     pub(super) reserved: usize,
+    /// Connections that were evicted before their first byte, or found no reserved slot, and get a moment to send it.
+    pub(super) displaced: usize,
     /// Bytes held for all clients together.
     pub held_bytes: usize,
 }
@@ -76,6 +78,9 @@ const LEAVING: usize = 128;
 /// Connections that are inspected while too many others are leaving. Only those that begin with a FAST STOP are then
 /// admitted.
 const RESERVED: usize = 64;
+/// Connections that were evicted before their first byte, or found no reserved slot. A flood fills these slots within
+/// milliseconds, so more would help only against short bursts.
+const DISPLACED: usize = 64;
 
 /// Lease holders. A gripper has one; the others have lost theirs within the last second.
 const PINNED: usize = 16;
@@ -90,8 +95,15 @@ impl Bounds {
     }
 
     /// Maximum number of descriptors that a listener's connections use, including those that are still ending.
-    pub const MAX_DESCRIPTORS: usize =
-        INCOMING + IDLE + ANSWERING + URGENT + WAITING + STREAMING * STREAMING_DESCRIPTORS + LEAVING + RESERVED;
+    pub const MAX_DESCRIPTORS: usize = INCOMING
+        + IDLE
+        + ANSWERING
+        + URGENT
+        + WAITING
+        + STREAMING * STREAMING_DESCRIPTORS
+        + LEAVING
+        + RESERVED
+        + DISPLACED;
 
     /// Minimum number of descriptors, which leaves each class one slot.
     pub const MIN_DESCRIPTORS: usize = 9;
@@ -115,11 +127,17 @@ impl Bounds {
         let (leaving, reserved) = (share(LEAVING), share(RESERVED));
         // New and keep-alive connections share the remainder, so that several new ones can wait for their first bytes.
         let bounded: usize = classes.iter().filter(|most| **most < usize::MAX).sum();
-        let taken = bounded + classes[Class::Streaming as usize] * (STREAMING_DESCRIPTORS - 1) + leaving + reserved;
+        let of_streams = classes[Class::Streaming as usize] * (STREAMING_DESCRIPTORS - 1);
+        let taken = bounded + of_streams + leaving + reserved;
         let rest = descriptors.saturating_sub(taken);
+        // With few descriptors, keep-alive connections give up a slot for them.
+        let idle = &mut classes[Class::Idle as usize];
+        let displaced = share(DISPLACED).min(rest + *idle - 1);
+        *idle -= displaced.saturating_sub(rest);
+        let rest = rest.saturating_sub(displaced);
         classes[Class::Incoming as usize] += rest.div_ceil(2);
         classes[Class::Idle as usize] += rest / 2;
-        Self { classes, leaving, reserved, held_bytes: HELD_BYTES }
+        Self { classes, leaving, reserved, displaced, held_bytes: HELD_BYTES }
     }
 
     /// Returns the bounds of a listener whose clients are all alike. Half of the descriptors are for clients that have
@@ -129,7 +147,7 @@ impl Bounds {
         let mut classes = [usize::MAX; CLASSES];
         classes[Class::Incoming as usize] = (descriptors / 4).max(1);
         classes[Class::Idle as usize] = (descriptors / 2).max(1);
-        Self { classes, leaving: (descriptors / 4).max(1), reserved: 0, held_bytes: HELD_BYTES }
+        Self { classes, leaving: (descriptors / 4).max(1), reserved: 0, displaced: 0, held_bytes: HELD_BYTES }
     }
 
     #[cfg(test)]
@@ -154,9 +172,11 @@ mod tests {
         for descriptors in [Bounds::MIN_DESCRIPTORS, 24, 64, 600, 1024, Bounds::MAX_DESCRIPTORS] {
             let bounds = Bounds::of(descriptors);
             let classes = bounds.classes.iter().filter(|most| **most < usize::MAX).sum::<usize>();
-            let bounded = classes + bounds.of_class(Class::Streaming) + bounds.leaving + bounds.reserved;
+            let bounded =
+                classes + bounds.of_class(Class::Streaming) + bounds.leaving + bounds.reserved + bounds.displaced;
             assert!(bounded <= descriptors, "{bounded} of {descriptors}: {bounds:?}");
             assert!(bounds.classes.iter().all(|most| *most > 0));
+            assert!(bounds.displaced > 0 || descriptors == Bounds::MIN_DESCRIPTORS, "{bounds:?}");
         }
         assert_eq!(Bounds::of(usize::MAX).of_class(Class::Streaming), STREAMING);
     }

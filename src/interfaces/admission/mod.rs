@@ -45,6 +45,8 @@ pub struct Admission {
     tracker: TaskTracker,
     /// Slots for inspecting connections while too many others are leaving.
     reserve: Arc<Semaphore>,
+    /// Slots for connections that were evicted before their first byte, and for those that find no slot in `reserve`.
+    displaced: Arc<Semaphore>,
 }
 
 impl Admission {
@@ -52,7 +54,8 @@ impl Admission {
     pub fn new(bounds: Bounds) -> Arc<Self> {
         let (table, tracker) = (Mutex::new(Table::new(bounds)), TaskTracker::new());
         let reserve = Arc::new(Semaphore::new(bounds.reserved + FOR_COMPLETE_LINES));
-        Arc::new(Self { table, ended: Notify::new(), released: Notify::new(), tracker, reserve })
+        let displaced = Arc::new(Semaphore::new(bounds.displaced));
+        Arc::new(Self { table, ended: Notify::new(), released: Notify::new(), tracker, reserve, displaced })
     }
 
     /// Admits a connection as [`Class::Incoming`]. Cancelling `closing` evicts the connection, too.
@@ -84,6 +87,12 @@ impl Admission {
     pub fn reserved(&self, has_line: bool) -> Option<OwnedSemaphorePermit> {
         let has_room = has_line || self.reserve.available_permits() > FOR_COMPLETE_LINES;
         has_room.then(|| self.reserve.clone().try_acquire_owned().ok()).flatten()
+    }
+
+    /// Returns a slot for a connection that was evicted before its first byte, or finds no reserved slot. It may begin a
+    /// FAST STOP.
+    pub fn displaced(&self) -> Option<OwnedSemaphorePermit> {
+        self.displaced.clone().try_acquire_owned().ok()
     }
 
     /// Closes the oldest connection without a claim, because the process is out of descriptors.
@@ -125,7 +134,17 @@ impl ConnectionPermit {
 
     /// Returns the time for an evicted connection to deliver its response; zero while many others are ending.
     pub fn linger(&self) -> Duration {
-        if self.admission.table().is_half_crowded() { Duration::ZERO } else { LINGER }
+        self.linger_besides(0)
+    }
+
+    /// Like [`Self::linger`], for a connection that has begun a FAST STOP. It does not count itself, so that it can linger
+    /// even with few descriptors.
+    pub fn linger_for_fast_stop(&self) -> Duration {
+        self.linger_besides(1)
+    }
+
+    fn linger_besides(&self, leaving: usize) -> Duration {
+        if self.admission.table().is_half_crowded(leaving) { Duration::ZERO } else { LINGER }
     }
 
     /// Marks this connection as the newest idle one, because its client sent something.

@@ -170,9 +170,10 @@ impl Table {
         self.leaving >= self.bounds.leaving
     }
 
-    /// Whether so many evicted connections are still ending that none gets time to linger.
-    pub(super) fn is_half_crowded(&self) -> bool {
-        self.leaving * 2 > self.bounds.leaving
+    /// Whether so many evicted connections are still ending that none gets time to linger. `besides` of them are not
+    /// counted.
+    pub(super) fn is_half_crowded(&self, besides: usize) -> bool {
+        self.leaving.saturating_sub(besides) * 2 > self.bounds.leaving
     }
 
     pub(super) fn evict_unclaimed(&mut self) {

@@ -131,6 +131,16 @@ fn largest_holder_of_bytes_is_evicted_first() {
     assert!(!is_evicted(&small));
 }
 
+#[test]
+fn evicted_fast_stop_lingers_unless_many_others_leave() {
+    let admission = small();
+    let permits: Vec<_> = (0..3).map(|_| admit(&admission, HERE)).collect();
+    assert_eq!((permits[0].linger(), permits[0].linger_for_fast_stop()), (Duration::ZERO, LINGER));
+    let _fourth = admit(&admission, HERE);
+    assert_eq!(permits[0].linger_for_fast_stop(), Duration::ZERO);
+    assert!(is_evicted(&permits[0]) && is_evicted(&permits[1]));
+}
+
 #[tokio::test]
 async fn accepting_waits_for_evicted_connections_to_end() {
     use futures_util::FutureExt as _;

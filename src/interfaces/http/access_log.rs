@@ -1,11 +1,9 @@
 //! Access log and request metrics.
 
-use std::sync::Arc;
 use std::time::Instant;
 
-use axum::extract::{MatchedPath, Request, State};
+use axum::extract::{MatchedPath, Request};
 use axum::http::Method;
-use axum::middleware::Next;
 use axum::response::Response;
 use tracing::field::Empty;
 use tracing::{Instrument, debug, info, info_span};
@@ -14,15 +12,15 @@ use super::context::HttpContext;
 use super::problem::RefusedMark;
 use super::visitor::client;
 
-/// Middleware that counts and logs requests: reads at DEBUG, all others at INFO.
-pub async fn watch(State(context): State<Arc<HttpContext>>, request: Request, next: Next) -> Response {
+/// Counts and logs a request: a read at DEBUG, any other at INFO.
+pub async fn watch(context: &HttpContext, request: Request, next: impl AsyncFnOnce(Request) -> Response) -> Response {
     let method = request.method().clone();
     let route = request.extensions().get::<MatchedPath>().cloned();
     let client = client(request.extensions()).subject;
     let path = request.uri().path();
     let span = info_span!("request", %method, path, %client, command = Empty, fast_stop = Empty);
     let since = Instant::now();
-    let response = next.run(request).instrument(span.clone()).await;
+    let response = next(request).instrument(span.clone()).await;
     let (status, duration_ms) = (response.status().as_u16(), since.elapsed().as_millis() as u64);
     let code = response.extensions().get().map(|RefusedMark { code, .. }| code.as_str());
     span.in_scope(|| match method {

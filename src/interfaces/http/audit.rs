@@ -1,10 +1,7 @@
 //! Audit of requests that are refused before an operation runs, because of their host, origin, body or path.
 
-use std::sync::Arc;
-
-use axum::extract::{MatchedPath, Request, State};
+use axum::extract::{MatchedPath, Request};
 use axum::http::{Method as Verb, StatusCode};
-use axum::middleware::Next;
 use axum::response::Response;
 
 use super::context::{API, HttpContext};
@@ -15,17 +12,17 @@ use crate::interfaces::metrics::NO_ROUTE;
 use crate::operations::audit::RefusedRequest;
 use crate::operations::{find, subject};
 
-/// Middleware that records refused requests. A refused read is recorded only if it lacks a valid credential.
-pub async fn record(State(context): State<Arc<HttpContext>>, request: Request, next: Next) -> Response {
+/// Records a request if it is refused. A refused read is recorded only if it lacks a valid credential.
+pub async fn record(context: &HttpContext, request: Request, next: impl AsyncFnOnce(Request) -> Response) -> Response {
     let only_reads = matches!(*request.method(), Verb::GET | Verb::HEAD | Verb::OPTIONS);
     if only_reads && !context.gateway.access.is_guarded() {
-        return next.run(request).await;
+        return next(request).await;
     }
     let client = client(request.extensions());
     let (method, route) = (request.method().clone(), request.extensions().get::<MatchedPath>().cloned());
     // A name that no gripper has would be one more kind of refusal.
     let gripper = gripper(request.uri().path()).filter(|name| context.gateway.grippers.get(name).is_some());
-    let response = next.run(request).await;
+    let response = next(request).await;
     if let Some(RefusedMark { code, cause, is_recorded: false }) = response.extensions().get().cloned()
         && (!only_reads || response.status() == StatusCode::UNAUTHORIZED)
     {

@@ -18,6 +18,7 @@ use super::paths::responses;
 use super::visitor::SESSION_COOKIE;
 use crate::journal::{EventKind, Order};
 use crate::operations::records::GripKinds;
+use crate::operations::statistics::MeasuredGrips;
 use crate::operations::{Members, Problem};
 
 /// Paths of the API's documents.
@@ -43,13 +44,14 @@ pub const DOCUMENTS: [&str; 2] = ["/openapi.json", "/asyncapi.yaml"];
         (name = "lease", description = "The right to move a gripper, and the reaction if the lease holder is lost"),
         (name = "fleet", description = "All grippers of all gateways on the Zenoh network"),
         (name = "alarms", description = "Conditions that a person has to know of, until they are acknowledged"),
+        (name = "recipes", description = "Stored grip and release values, by part id or number"),
         (name = "settings", description = "Settings that the device keeps until it restarts, and its permanent tag"),
         (name = "device", description = "Other device commands: statistics, fingers, tare, Loop, raw requests"),
         (name = "journal", description = "Events and grip records, stored and live"),
         (name = "webhooks", description = "Deliveries of events to other programs"),
         (name = "gateway", description = "Health, metrics and API documents of the gateway itself"),
     ),
-    components(schemas(Members, EventKind, GripKinds, Order)),
+    components(schemas(Members, EventKind, GripKinds, MeasuredGrips, Order)),
     servers((url = "/", description = "The gateway that serves this document")),
     // A gateway on loopback needs no credentials.
     security((), ("token" = []), ("session" = [])),

@@ -17,7 +17,7 @@ use tokio::time::timeout;
 use super::body;
 use super::context::{API, HttpContext};
 use super::fast_stop::{REASON_TIME, with_reason};
-use super::operation::serve_below;
+use super::operation::{RequestBody, serve_below};
 use super::problem::PROBLEM_JSON;
 use super::visitor::Identified;
 use crate::access::Credential;
@@ -77,7 +77,7 @@ pub async fn forward(
     };
     if context.gateway.peers.is_own(&target.gateway) {
         path.insert("gripper", target.gripper);
-        return serve_below(&context, operation, path, &parts, stream).await;
+        return serve_below(&context, operation, path, &parts, RequestBody::Stream(stream)).await;
     }
     let gripper = target.gripper.parse().map_err(|_| Problem::not_found("gripper with this name"))?;
     let identified = Identified::client_of(&context.gateway.access, &parts.extensions);
@@ -103,7 +103,11 @@ pub async fn forward(
     let (gateway, client, urgency) = (target.gateway.clone(), identified.client(Door::Http), operation.urgency);
     let ask = move |params| async move {
         let (method, params) = (operation.name, Value::Object(params));
-        context.gateway.peers.ask(Ask { gateway, gripper, method, params, wait, aside, client, urgency }).await
+        context
+            .gateway
+            .peers
+            .ask(Ask { gateway, gripper: Some(gripper), method, params, wait, aside, client, urgency })
+            .await
     };
     let asked = if urgency == Urgency::FastStop {
         let reason = |text: &[u8]| Reason::truncated(&text_member(text, "reason").unwrap_or_default());

@@ -3,9 +3,8 @@
 
 use std::convert::Infallible;
 use std::net::{Ipv4Addr, Ipv6Addr};
-use std::sync::Arc;
 
-use axum::extract::{Request, State};
+use axum::extract::Request;
 use axum::http::header::{
     CACHE_CONTROL, CONTENT_SECURITY_POLICY, DATE, HOST, HeaderName, HeaderValue, ORIGIN, REFERRER_POLICY,
     X_CONTENT_TYPE_OPTIONS,
@@ -13,26 +12,29 @@ use axum::http::header::{
 use axum::http::{HeaderMap, Method as Verb, Version};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
+use futures_util::FutureExt as _;
 use jiff::fmt::rfc2822::DateTimePrinter;
 use tower::{Layer as _, ServiceExt as _, service_fn};
 use tower_http::cors::{AllowHeaders, AllowOrigin, CorsLayer};
 
 use super::body;
-use super::context::HttpContext;
 use super::operation::Compact;
 use super::settings::HttpSettings;
 use crate::gripper::Now;
 use crate::operations::{Code, Problem};
 
-/// Middleware that refuses foreign hosts and origins, whatever the method. Any Content-Type is read as JSON, so without
-/// this check a plain form on another site could move a gripper.
-pub async fn refuse_foreigners(State(context): State<Arc<HttpContext>>, mut request: Request, next: Next) -> Response {
-    let settings = context.settings.get();
-    match check(&request, &settings) {
+/// Refuses foreign hosts and origins, whatever the method. Any Content-Type is read as JSON, so without this check a
+/// plain form on another site could move a gripper.
+pub async fn refuse_foreigners(
+    settings: &HttpSettings,
+    mut request: Request,
+    next: impl AsyncFnOnce(Request) -> Response,
+) -> Response {
+    match check(&request, settings) {
         Ok(()) => {
             // For the dashboard, whose frames other pages may have.
             request.extensions_mut().insert(settings.frame_policy.clone());
-            next.run(request).await
+            next(request).await
         }
         Err(problem) => {
             body::drain(request.into_body()).await;
@@ -41,21 +43,22 @@ pub async fn refuse_foreigners(State(context): State<Arc<HttpContext>>, mut requ
     }
 }
 
-/// Middleware that lets the pages of the listed origins use the API (CORS). Other requests pass unchanged.
-pub async fn admit_foreign_pages(State(context): State<Arc<HttpContext>>, request: Request, next: Next) -> Response {
-    let settings = context.settings.get();
+/// Lets the pages of the listed origins use the API (CORS). Other requests pass unchanged.
+pub async fn admit_foreign_pages<F: Future<Output = Response>>(
+    settings: &HttpSettings,
+    request: Request,
+    next: Next,
+    serve: impl Fn(Request, Next) -> F,
+) -> Response {
     let origin = request.headers().get(ORIGIN).filter(|origin| settings.allows_origin(origin)).cloned();
-    let Some(origin) = origin else { return next.run(request).await };
+    let Some(origin) = origin else { return serve(request, next).await };
     let cors = CorsLayer::new()
         .allow_origin(AllowOrigin::exact(origin))
         .allow_methods([Verb::GET, Verb::POST, Verb::PUT, Verb::DELETE])
         .allow_headers(AllowHeaders::mirror_request())
         // No response is cached.
         .vary([]);
-    let served = cors.layer(service_fn(|request| {
-        let next = next.clone();
-        async move { Ok::<_, Infallible>(next.run(request).await) }
-    }));
+    let served = cors.layer(service_fn(|request| serve(request, next.clone()).map(Ok::<_, Infallible>)));
     served.oneshot(request).await.unwrap_or_else(|error| match error {})
 }
 
@@ -136,7 +139,7 @@ const NO_CONTENT: HeaderValue = HeaderValue::from_static("default-src 'none'; fr
 
 /// Adds the headers that keep browsers from sniffing, caching and embedding responses, and the date. A compact response
 /// gets none of them.
-pub async fn harden(mut response: Response) -> Response {
+pub fn harden(mut response: Response) -> Response {
     if response.extensions().get::<Compact>().is_some() {
         return response;
     }

@@ -21,7 +21,7 @@ use crate::journal::{EventKind, Page, csv};
 use crate::operations::Problem;
 use crate::operations::records::{EventPage, GripBody, GripKinds, GripPage, RecordList, next_cursor};
 
-const CSV: &str = "text/csv; charset=utf-8";
+pub const CSV: &str = "text/csv; charset=utf-8";
 /// Header with the id of the journal that a table comes from.
 const JOURNAL_ID: &str = "Journal-Id";
 
@@ -70,7 +70,8 @@ pub struct EventsQuery {
 #[into_params(parameter_in = Query)]
 #[allow(dead_code, reason = "only describes the parameters that `RecordList` reads")]
 pub struct GripsQuery {
-    /// Only records of this kind: `grip` (default), `release`, `home` or `move`; `all` lists every kind.
+    /// Only records of this kind: `grip` (default), `release`, `home`, `move` or `reference`; `all` lists
+    /// every kind.
     kind: Option<GripKinds>,
 }
 

@@ -25,6 +25,7 @@ mod openapi_document;
 mod operation;
 mod paths;
 mod problem;
+mod recipes;
 mod redirect;
 mod rights;
 mod router;

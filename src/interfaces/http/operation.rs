@@ -7,8 +7,9 @@ use axum::RequestPartsExt as _;
 use axum::body::Body;
 use axum::extract::{RawPathParams, Request};
 use axum::http::request::Parts;
-use axum::http::{HeaderMap, Method, StatusCode, header};
+use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use serde_json::{Map, Value};
 
 use super::body;
 use super::context::{API, HttpContext};
@@ -21,6 +22,13 @@ use crate::operations::{
     Caller, Effect, Fields, MAX_LEASE_BYTES, Operation, OperationReply, Params, Presence, Problem, QueryString, Wait,
     motion, run,
 };
+use crate::recipes::ExpectedVersion;
+
+/// Parameters that the path does not name, as they came.
+pub enum RequestBody {
+    Stream(Body),
+    Parsed(Fields),
+}
 
 /// Marks a response that gets only the necessary headers.
 #[derive(Debug, Clone, Copy)]
@@ -33,7 +41,7 @@ pub async fn serve(
 ) -> Result<Response, Problem> {
     let (mut parts, stream) = request.into_parts();
     let path = path(&mut parts, operation).await?;
-    serve_below(context, operation, path, &parts, stream).await
+    serve_below(context, operation, path, &parts, RequestBody::Stream(stream)).await
 }
 
 /// Performs an operation whose path has already been parsed.
@@ -42,30 +50,41 @@ pub async fn serve_below(
     operation: &'static Operation,
     path: BTreeMap<&'static str, String>,
     parts: &Parts,
-    stream: Body,
+    body: RequestBody,
 ) -> Result<Response, Problem> {
     let gateway = context.gateway.clone();
     let identified = Identified::client_of(&gateway.access, &parts.extensions);
     let (mut caller, visitor) = (caller(&identified, parts, operation)?, identified.visitor);
+    let expected = if operation.is_conditional { expected(&parts.headers)? } else { ExpectedVersion::Any };
     let run = move |fields| async move {
         // A credential can end while a slow body arrives.
         caller.identity = visitor.identity(&gateway.access);
-        run(&gateway, operation, caller, Params { path, fields }).await
+        run(&gateway, operation, caller, Params { path, fields, expected }).await
     };
     // A Stop, too, happens whatever its body says and however long the body takes.
-    let reply = if operation.urgency == Urgency::FastStop || operation.name == motion::STOP.name {
-        with_reason(stream, move |text| run(Fields::Text(text))).await??
-    } else if *operation.verb == Method::GET {
+    let reply = match body {
+        RequestBody::Stream(stream)
+            if operation.urgency == Urgency::FastStop || operation.name == motion::STOP.name =>
+        {
+            with_reason(stream, move |text| run(Fields::Text(text))).await??
+        }
         // The body of a GET has no meaning (RFC 9110, 9.3.1).
-        run(Fields::Object(QueryString::of(&parts.uri)?.fields(operation.query)?)).await?
-    } else {
-        run(Fields::Text(body::bytes(stream).await?)).await?
+        _ if *operation.verb == Method::GET => run(Fields::Object(query(parts, operation)?)).await?,
+        RequestBody::Stream(stream) => run(Fields::Text(body::bytes(stream).await?)).await?,
+        RequestBody::Parsed(fields) => run(fields).await?,
     };
     let mut response = response(reply);
     if operation.is_compact {
         response.extensions_mut().insert(Compact);
     }
     Ok(response)
+}
+
+/// Returns the fields that a read has in its query string. An operation with filters gets all, since a misspelt one would
+/// have no effect, and refuses those that it does not know.
+fn query(parts: &Parts, operation: &Operation) -> Result<Map<String, Value>, Problem> {
+    let given = QueryString::of(&parts.uri)?;
+    if operation.query.is_empty() || operation.waits { given.fields(operation.query) } else { given.all() }
 }
 
 /// Returns the path's parameters. A path that is not valid text is not found.
@@ -103,6 +122,30 @@ fn label(headers: &HeaderMap) -> Option<&str> {
     std::str::from_utf8(headers.get("Wsg-Client")?.as_bytes()).ok()
 }
 
+/// Returns the version that the request expects (RFC 9110 13.1): that of `If-Match`, or none with `If-None-Match: *`.
+fn expected(headers: &HeaderMap) -> Result<ExpectedVersion, Problem> {
+    // An empty condition is one whose value got lost: it must not count as none.
+    let given = |name: &'static str| match headers.get(name).map(HeaderValue::is_empty) {
+        None => Ok(None),
+        Some(true) => Err(Problem::malformed(name, format!("{name} is empty: leave it out, or send the ETag"))),
+        Some(false) => key::<64>(headers, name),
+    };
+    match (given(header::IF_MATCH.as_str())?, given(header::IF_NONE_MATCH.as_str())?) {
+        (None, None) => Ok(ExpectedVersion::Any),
+        (Some(tag), None) if tag.as_str() == "*" => Ok(ExpectedVersion::Present),
+        (None, Some(tag)) if tag.as_str() == "*" => Ok(ExpectedVersion::Absent),
+        (Some(tag), None) if tag.as_str().contains(',') => {
+            Err(Problem::malformed("If-Match", "If-Match must be * or one ETag: a change replaces one version"))
+        }
+        (Some(tag), None) => {
+            let version = tag.as_str().strip_prefix('"').and_then(|tag| tag.strip_suffix('"')?.parse().ok());
+            // A tag that is not this gateway's, or a weak one, matches nothing (RFC 9110 13.1.1). No version is 0.
+            Ok(ExpectedVersion::Exactly(version.unwrap_or_default()))
+        }
+        _ => Err(Problem::malformed("If-None-Match", "If-None-Match must be *, without If-Match")),
+    }
+}
+
 fn key<const MAX: usize>(headers: &HeaderMap, name: &'static str) -> Result<Option<Text<MAX>>, Problem> {
     let mut values = headers.get_all(name).iter();
     let (first, None) = (values.next(), values.next()) else {
@@ -116,8 +159,9 @@ fn key<const MAX: usize>(headers: &HeaderMap, name: &'static str) -> Result<Opti
 
 /// Returns 200 with the result. A command that is still running gets 202 with its Location. A request that waits for
 /// the lease's holder gets 202 without one.
-fn response(OperationReply { body, effect }: OperationReply) -> Response {
+fn response(OperationReply { body, effect, version, is_new }: OperationReply) -> Response {
     let json = [(header::CONTENT_TYPE, "application/json")];
+    let tag = version.map(|version| [(header::ETAG, format!("\"{version}\""))]);
     let body = String::from(Box::<str>::from(body));
     match effect {
         Effect::Running { gripper, ticket } => {
@@ -125,7 +169,8 @@ fn response(OperationReply { body, effect }: OperationReply) -> Response {
             (StatusCode::ACCEPTED, [(header::LOCATION, location)], json, body).into_response()
         }
         Effect::Waiting => (StatusCode::ACCEPTED, json, body).into_response(),
-        Effect::None | Effect::Leased(_) => (json, body).into_response(),
+        Effect::None | Effect::Leased(_) if is_new => (StatusCode::CREATED, tag, json, body).into_response(),
+        Effect::None | Effect::Leased(_) => (tag, json, body).into_response(),
     }
 }
 

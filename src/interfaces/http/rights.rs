@@ -1,10 +1,7 @@
-//! Middleware that checks the right to read. Operations check their callers themselves.
+//! Check of the right to read. Operations check their callers themselves.
 
-use std::sync::Arc;
-
-use axum::extract::{MatchedPath, Request, State};
+use axum::extract::{MatchedPath, Request};
 use axum::http::Method as Verb;
-use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
 use super::context::{API, HttpContext};
@@ -15,16 +12,16 @@ use super::{body, docs};
 use crate::access::Right;
 use crate::operations::{find, require};
 
-/// Middleware that refuses clients without the right to read, wherever no operation checks its caller.
-pub async fn check(State(context): State<Arc<HttpContext>>, request: Request, next: Next) -> Response {
+/// Refuses a client without the right to read, wherever no operation checks its caller.
+pub async fn check(context: &HttpContext, request: Request, next: impl AsyncFnOnce(Request) -> Response) -> Response {
     let route = request.extensions().get().map(MatchedPath::as_str);
     if !route.is_some_and(|route| needs_read(request.method(), route)) {
-        return next.run(request).await;
+        return next(request).await;
     }
     let identified = Identified::client_of(&context.gateway.access, request.extensions());
     let allowed = identified.identity.map_err(Into::into);
     match allowed.and_then(|identity| require(&identity, Right::Read, None)) {
-        Ok(()) => next.run(request).await,
+        Ok(()) => next(request).await,
         Err(problem) => {
             body::drain(request.into_body()).await;
             problem.into_response()

@@ -1,45 +1,69 @@
-//! The router: paths and the middleware of each request, from the outside in.
+//! The router: paths, and the steps around each request.
 //!
 //! `access_log` counts and logs, `guard` refuses foreign hosts and origins, and `turn` reads bodies within bounds,
 //! except for FAST STOP, which waits for nothing. `audit` records what is refused before an operation runs.
+//!
+//! These steps share one middleware, because axum clones everything inside a middleware for each request.
 
-use std::any::Any;
+use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 
+use axum::extract::{Request, State};
 use axum::http::Method as Verb;
+use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use axum::routing::{any, post};
-use axum::{Extension, Router, middleware};
+use axum::{Router, middleware};
+use futures_util::FutureExt as _;
 use serde_json::Value;
 use tokio::sync::Semaphore;
-use tower_http::catch_panic::CatchPanicLayer;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use super::context::{API, HttpContext};
 use super::openapi_document::completed;
 use super::{
-    access_log, audit, docs, fleet_lists, forward, gateway, guard, guide, journal, large, paths, rights, session,
-    stream, turn, upgrade,
+    access_log, audit, docs, fleet_lists, forward, gateway, guard, guide, journal, large, paths, recipes, rights,
+    session, stream, turn, upgrade,
 };
 use crate::interfaces::dashboard;
 use crate::operations::{Code, Problem};
 
 pub fn router(context: &Arc<HttpContext>) -> Router {
-    served()
-        .layer(middleware::from_fn_with_state(context.clone(), rights::check))
-        .layer(middleware::from_fn_with_state(context.clone(), guard::admit_foreign_pages))
-        .layer(middleware::from_fn_with_state(context.clone(), guard::refuse_foreigners))
-        .layer(middleware::from_fn_with_state(context.clone(), audit::record))
-        .layer(middleware::map_response(guard::harden))
-        .layer(middleware::from_fn_with_state(context.clone(), access_log::watch))
-        .with_state(context.clone())
+    let (routes, document) = routes().split_for_parts();
+    let documents = Arc::new(docs::Documents::new(completed(&document)));
+    let state = (context.clone(), documents);
+    routes.layer(middleware::from_fn_with_state(state, around)).with_state(context.clone())
 }
 
-fn served() -> Router<Arc<HttpContext>> {
-    let (routes, document) = routes().split_for_parts();
-    let documents = docs::Documents::new(completed(&document));
-    routes.layer(Extension(Arc::new(documents))).layer(CatchPanicLayer::custom(panicked))
+/// Runs the steps around a request, outermost first.
+async fn around(
+    State((context, documents)): State<(Arc<HttpContext>, Arc<docs::Documents>)>,
+    mut request: Request,
+    next: Next,
+) -> Response {
+    request.extensions_mut().insert(documents);
+    let settings = context.settings.get();
+    access_log::watch(&context, request, async |request| {
+        let response = audit::record(&context, request, async |request| {
+            guard::refuse_foreigners(&settings, request, async |request| {
+                guard::admit_foreign_pages(&settings, request, next, |request, next| admitted(&context, request, next))
+                    .await
+            })
+            .await
+        });
+        guard::harden(response.await)
+    })
+    .await
+}
+
+/// Runs the steps that only an admitted request reaches.
+async fn admitted(context: &HttpContext, request: Request, next: Next) -> Response {
+    rights::check(context, request, async |request| {
+        let served = turn::read_first(request, async |request| next.run(request).await);
+        AssertUnwindSafe(served).catch_unwind().await.unwrap_or_else(|_| panicked())
+    })
+    .await
 }
 
 /// Returns the OpenAPI document of the router.
@@ -63,8 +87,7 @@ fn routes() -> Routes {
         .merge(docs::page())
         .merge(guide::pages())
         .merge(dashboard::page())
-        .method_not_allowed_fallback(method_not_allowed)
-        .layer(middleware::from_fn(turn::read_first));
+        .method_not_allowed_fallback(method_not_allowed);
     let mut all = OpenApiRouter::from(router);
     *all.get_openapi_mut() = document;
     all
@@ -115,6 +138,7 @@ fn api() -> Routes {
         .routes(routes!(paths::settings::get_tag, paths::settings::set_tag))
         .routes(routes!(paths::device::statistics))
         .routes(routes!(paths::device::reset_statistics))
+        .routes(routes!(paths::finger_set::get, paths::finger_set::set))
         .routes(routes!(paths::fingers::one))
         .routes(routes!(paths::fingers::data))
         .routes(routes!(paths::fingers::power))
@@ -130,6 +154,12 @@ fn api() -> Routes {
         .routes(routes!(paths::fleet::list))
         .routes(routes!(paths::alarms::list))
         .routes(routes!(paths::alarms::acknowledge))
+        .routes(routes!(paths::statistics::of_grips))
+        .routes(routes!(paths::recipes::list, paths::recipes::set_several))
+        .routes(routes!(paths::recipes::get, paths::recipes::set, paths::recipes::remove))
+        .routes(routes!(paths::recipes::versions))
+        .routes(routes!(recipes::get_csv, recipes::set_csv))
+        .routes(routes!(paths::recipes::teach))
         .routes(routes!(paths::me::me))
         .routes(routes!(paths::reload::reload))
         .routes(routes!(session::sign_in, session::sign_out))
@@ -140,6 +170,7 @@ fn api() -> Routes {
         .routes(routes!(paths::fast_stop::all))
         .routes(routes!(paths::fleet::fast_stop))
         .routes(routes!(paths::fleet::acknowledge))
+        .routes(routes!(paths::fleet::copy_recipes))
         // A FAST STOP with a trailing slash is accepted.
         .route("/grippers/{gripper}/fast-stop/", post(paths::fast_stop::one))
         .route("/fast-stop/", post(paths::fast_stop::all))
@@ -157,7 +188,7 @@ async fn method_not_allowed(method: Verb) -> Problem {
 }
 
 /// Answers a request whose handler panicked, so that a bug ends one request and not the gateway.
-fn panicked(_: Box<dyn Any + Send>) -> Response {
+fn panicked() -> Response {
     tracing::error!("a request handler panicked");
     Problem::internal().into_response()
 }

@@ -1,4 +1,4 @@
-//! Middleware that paces a request, reads its body and claims its connection's slot.
+//! Paces a request, reads its body and claims its connection's slot.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -8,7 +8,6 @@ use axum::extract::{MatchedPath, Request};
 use axum::http::Method;
 use axum::http::header::{CONNECTION, HeaderValue};
 use axum::http::request::Parts;
-use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use tokio::time::timeout;
 
@@ -24,10 +23,9 @@ use crate::operations::{Code, Problem};
 /// Time that a complete request waits for its turn. Requests take milliseconds, unless a device is slow.
 const TURN_TIME: Duration = Duration::from_secs(2);
 
-/// Middleware that reads the body before the handlers see the request. The connection claims its slot only after the
-/// body has arrived. A FAST STOP waits for nothing and claims a slot at once. A Stop does not wait for its body, which
-/// the handler reads.
-pub async fn read_first(request: Request, next: Next) -> Response {
+/// Reads the body before the handlers see the request. The connection claims its slot only after the body has arrived.
+/// A FAST STOP waits for nothing and claims a slot at once. A Stop does not wait for its body, which the handler reads.
+pub async fn read_first(request: Request, next: impl AsyncFnOnce(Request) -> Response) -> Response {
     let permit: Option<Arc<ConnectionPermit>> = request.extensions().get().cloned();
     let pace: Option<Arc<RequestPace>> = request.extensions().get().cloned();
     if is_fast_stop(&request) {
@@ -35,7 +33,7 @@ pub async fn read_first(request: Request, next: Next) -> Response {
             pace.next_fast_stop().await;
         }
         let _claim = permit.as_ref().and_then(|permit| permit.claim(Class::Urgent));
-        return next.run(request).await;
+        return next(request).await;
     }
     let (parts, stream) = request.into_parts();
     let is_urgent = is_urgent(&parts);
@@ -62,7 +60,7 @@ pub async fn read_first(request: Request, next: Next) -> Response {
         }
         None => None,
     };
-    next.run(Request::from_parts(parts, stream)).await
+    next(Request::from_parts(parts, stream)).await
 }
 
 /// Whether a request is a Stop of one gripper, judged by its path.

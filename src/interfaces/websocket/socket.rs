@@ -129,7 +129,7 @@ impl Answered {
     fn new(id: Option<Value>, result: Result<OperationReply, Problem>) -> Self {
         let has_id = id.is_some();
         let (result, effect) = match result {
-            Ok(OperationReply { body, effect }) => (Ok(body), effect),
+            Ok(OperationReply { body, effect, .. }) => (Ok(body), effect),
             Err(problem) => (Err(problem.into()), Effect::None),
         };
         let (running, lease) = match effect {

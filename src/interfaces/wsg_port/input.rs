@@ -97,7 +97,7 @@ impl PortInput {
 
     /// Returns the time at which the rest of a frame counts as lost.
     pub(super) fn deadline(&self) -> Option<Instant> {
-        self.partial_until
+        self.partial_until.filter(|_| !self.is_garbage())
     }
 
     /// Discards a frame whose rest is overdue.
@@ -217,5 +217,6 @@ mod tests {
         let damaged = std::iter::from_fn(|| input.next()).count();
         assert_eq!(damaged, MAX_DAMAGED as usize);
         assert!(input.is_garbage());
+        assert_eq!(input.deadline(), None);
     }
 }

@@ -7,11 +7,12 @@ use std::time::Duration;
 use ipnet::IpNet;
 use tokio_util::sync::CancellationToken;
 
-use crate::access::{Access, Identity};
+use crate::access::Access;
 use crate::gripper::Handle;
 use crate::gripper::model::{Client, Door};
 use crate::interfaces::admission::{Admission, Bounds, ConnectionPermit};
 use crate::interfaces::metrics::WsgPortMetrics;
+use crate::interfaces::peers::KnownPeers;
 use crate::interfaces::sockets;
 use crate::operations::audit::Audit;
 
@@ -47,7 +48,7 @@ pub struct Port {
     /// Maximum number of descriptors for TCP clients.
     descriptors: usize,
     pub(super) audit: Arc<Audit>,
-    access: Arc<Access>,
+    pub(super) peers: KnownPeers,
     pub(super) metrics: WsgPortMetrics,
 }
 
@@ -61,7 +62,8 @@ impl Port {
         (audit, access, metrics): (Arc<Audit>, Arc<Access>, WsgPortMetrics),
     ) -> Arc<Self> {
         let descriptors = descriptors.clamp(MIN_DESCRIPTORS, MAX_DESCRIPTORS);
-        Arc::new(Self { gripper, rules, descriptors, audit, access, metrics })
+        let peers = KnownPeers::new(rules.allow.clone(), access);
+        Arc::new(Self { gripper, rules, descriptors, audit, peers, metrics })
     }
 
     pub(super) fn admission(&self) -> Arc<Admission> {
@@ -75,25 +77,7 @@ impl Port {
         Arc::new(admission.admit(peer.ip(), &CancellationToken::new()))
     }
 
-    /// Whether a client may connect: from an allowed network, or as a known client. Without a list of networks, a gateway
-    /// that needs credentials accepts known clients and its own host; others accept every client.
-    pub(super) fn allows(&self, peer: IpAddr) -> bool {
-        let peer = peer.to_canonical();
-        let is_open = || self.rules.allow.is_empty() && (peer.is_loopback() || !self.access.is_guarded());
-        let is_allowed = || self.rules.allow.iter().any(|net| net.contains(&peer));
-        is_open() || is_allowed() || self.identity(peer).is_some()
-    }
-
-    /// The identity of a client that the configuration knows by its address.
-    pub(super) fn identity(&self, peer: IpAddr) -> Option<Identity> {
-        self.access.of_address(&peer.into())
-    }
-
-    /// Returns a client with its configured name, or else identified by its IP address. A restarted driver is the same
-    /// client, although its port differs.
-    pub(super) fn client(&self, peer: SocketAddr) -> Client {
-        let name = self.identity(peer.ip()).and_then(|identity| identity.name);
-        let by_address = || format!("wsg:{}", peer.ip().to_canonical());
-        Client::new(name.map_or_else(by_address, |name| name.to_string()), Door::Wsg)
+    pub(super) fn client(&self, peer: IpAddr) -> Client {
+        self.peers.client(peer, "wsg", Door::Wsg)
     }
 }

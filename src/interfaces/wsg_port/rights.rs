@@ -18,8 +18,8 @@ pub(super) fn allows(port: &Port, client: IpAddr, order: &PortOrder) -> bool {
         PortOrder::Exchange(command) if command.is_read() => return true,
         _ => Right::Operate,
     };
-    match port.identity(client) {
+    match port.peers.identity(client) {
         Some(identity) => identity.may(right, Some(port.gripper.name())),
-        None => port.allows(client),
+        None => port.peers.allows(client),
     }
 }

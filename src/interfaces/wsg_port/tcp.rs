@@ -3,22 +3,16 @@
 use std::io;
 use std::net::SocketAddr;
 use std::sync::Arc;
-use std::time::Duration;
 
 use socket2::SockRef;
 use tokio::net::{TcpListener, TcpStream};
-use tokio::task::JoinSet;
-use tokio::time::sleep;
 use tokio_util::sync::CancellationToken;
 
 use super::client::Served;
 use super::port::{LOST_AFTER, Port};
+use crate::interfaces::accept;
 use crate::interfaces::admission::Admission;
 use crate::interfaces::sockets;
-
-/// Pause after a failed accept: long enough not to spin while the process is out of file descriptors, short enough not
-/// to be noticed.
-const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 
 pub(super) async fn serve(
     port: Arc<Port>,
@@ -26,42 +20,19 @@ pub(super) async fn serve(
     draining: CancellationToken,
     closing: CancellationToken,
 ) -> Option<TcpListener> {
-    let (admission, mut clients) = (port.admission(), JoinSet::new());
-    loop {
-        let accepted = tokio::select! {
-            biased;
-            () = draining.cancelled() => break,
-            Some(_) = clients.join_next() => continue,
-            accepted = accept(&listener, &admission) => accepted,
-        };
-        match accepted {
-            Ok((stream, peer)) => {
-                if let Some(served) = admit(&port, stream, peer, &admission) {
-                    clients.spawn(served.run(closing.clone()));
-                }
-            }
-            Err(error) => {
-                tracing::warn!(%error, "connection could not be accepted");
-                admission.evict_one();
-                sleep(ACCEPT_PAUSE).await;
-            }
-        }
-    }
+    let admission = port.admission();
+    let admit = |stream, peer| admit(&port, stream, peer, &admission).map(|served| served.run(closing.clone()));
+    let mut clients = accept::each(&listener, &admission, &draining, admit).await;
     let listener = closing.is_cancelled().then_some(listener);
     while clients.join_next().await.is_some() {}
     listener
-}
-
-async fn accept(listener: &TcpListener, admission: &Admission) -> io::Result<(TcpStream, SocketAddr)> {
-    admission.has_room().await;
-    listener.accept().await
 }
 
 type Connection = Served<tokio::net::tcp::OwnedReadHalf, tokio::net::tcp::OwnedWriteHalf>;
 
 fn admit(port: &Arc<Port>, stream: TcpStream, peer: SocketAddr, admission: &Arc<Admission>) -> Option<Connection> {
     let gripper = port.gripper.name();
-    if !port.allows(peer.ip()) {
+    if !port.peers.allows(peer.ip()) {
         tracing::warn!(%gripper, %peer, "connection refused: address neither in wsg_port_allow nor of a known client");
         return None;
     }
@@ -73,7 +44,7 @@ fn admit(port: &Arc<Port>, stream: TcpStream, peer: SocketAddr, admission: &Arc<
     let permit = Port::admit(admission, peer);
     tracing::info!(%gripper, %peer, "WSG port client connected via TCP");
     let (reader, writer) = stream.into_split();
-    Some(Served::new(port.clone(), (port.client(peer), peer.ip()), permit, (reader, writer), None))
+    Some(Served::new(port.clone(), (port.client(peer.ip()), peer.ip()), permit, (reader, writer), None))
 }
 
 /// Makes each frame leave at once and on its own, and detects a vanished peer within [`LOST_AFTER`], even while frames

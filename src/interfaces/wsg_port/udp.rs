@@ -120,7 +120,7 @@ pub(super) async fn serve(
         if draining.is_cancelled() {
             continue;
         }
-        if !port.allows(peer.ip()) {
+        if !port.peers.allows(peer.ip()) {
             if ignored.is_first(peer.ip()) {
                 tracing::warn!(%gripper, %peer, "datagrams ignored: address neither in wsg_port_allow nor of a known client");
             }
@@ -138,7 +138,7 @@ pub(super) async fn serve(
         let writer = Writer { socket: socket.clone(), peer: answered_at, outage: Outage::default() };
         let reader = Reader { datagrams, rest: Vec::new() };
         let served =
-            Served::new(port.clone(), (port.client(peer), peer.ip()), permit, (reader, writer), Some(lost_after));
+            Served::new(port.clone(), (port.client(peer.ip()), peer.ip()), permit, (reader, writer), Some(lost_after));
         clients.spawn(served.run(closing.clone()));
         let outage = Outage::default();
         known.insert(answered_at, Known { datagrams: sender, source: peer.port(), heard: now, outage });

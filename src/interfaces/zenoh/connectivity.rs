@@ -1,7 +1,8 @@
 //! Monitor of Zenoh's endpoints: whether the gateway listens and is connected as configured. Zenoh itself retries each
 //! endpoint without reporting failures.
 
-use std::net::{IpAddr, TcpListener};
+use std::io;
+use std::net::{IpAddr, TcpListener, UdpSocket};
 use std::time::Duration;
 
 use zenoh::config::EndPoint;
@@ -16,7 +17,7 @@ const LOOKS_EVERY: Duration = Duration::from_secs(1);
 /// Interval from which on a missing endpoint is reported; opening normally takes less time.
 const TAKES_LONG: Duration = Duration::from_millis(300);
 
-/// Configuration keys of the files that a TLS endpoint needs.
+/// Configuration keys of the files that a QUIC or TLS endpoint needs.
 const FILES: [&str; 5] =
     ["root_ca_certificate", "listen_certificate", "listen_private_key", "connect_certificate", "connect_private_key"];
 
@@ -147,16 +148,25 @@ impl Place {
 /// Returns why nothing listens at an endpoint, and the remedy.
 fn why_not(config: &zenoh::Config, endpoint: &str) -> String {
     let why = match endpoint.parse::<EndPoint>() {
-        Ok(parsed) => match TcpListener::bind(parsed.address().as_str()) {
-            Err(error) => format!("{} (--zenoh-listen): {error}", remedy(error.kind())),
-            Ok(_) if parsed.protocol().as_str() == "tls" => unreadable(config).unwrap_or_else(|| {
+        Ok(parsed) => match (bind(&parsed), parsed.protocol().as_str()) {
+            (Err(error), _) => format!("{} (--zenoh-listen): {error}", remedy(error.kind())),
+            (Ok(()), "quic" | "tls") => unreadable(config).unwrap_or_else(|| {
                 "check its certificates and keys in the Zenoh configuration, below transport/link/tls".to_owned()
             }),
-            Ok(_) => "the address is free now; retrying".to_owned(),
+            (Ok(()), _) => "the address is free now; retrying".to_owned(),
         },
         Err(error) => error.to_string(),
     };
     format!("Zenoh cannot listen on {endpoint}: {why}")
+}
+
+/// Binds the endpoint's address for a moment.
+fn bind(endpoint: &EndPoint) -> io::Result<()> {
+    let address = endpoint.address();
+    match endpoint.protocol().as_str() {
+        "quic" => UdpSocket::bind(address.as_str()).map(drop),
+        _ => TcpListener::bind(address.as_str()).map(drop),
+    }
 }
 
 /// Returns the cause of the first TLS file that can't be read.
@@ -210,9 +220,16 @@ mod tests {
             why.contains(&format!("tcp/{address}: choose another address")) && why.contains("--zenoh-listen"),
             "{why}"
         );
+        let free = why_not(&config, &format!("quic/{address}"));
+        assert!(free.contains("transport/link/tls"), "a TCP listener does not occupy the UDP port: {free}");
+        let taken = UdpSocket::bind("127.0.0.1:0").unwrap();
+        let why = why_not(&config, &format!("quic/{}", taken.local_addr().unwrap()));
+        assert!(why.contains("choose another address"), "{why}");
         config.insert_json5("transport/link/tls/listen_certificate", r#""/nowhere/gateway.pem""#).unwrap();
-        let why = why_not(&config, "tls/127.0.0.1:0");
-        assert!(why.contains("/nowhere/gateway.pem") && why.contains("listen_certificate in"), "{why}");
-        assert!(!why.contains("--zenoh-listen"), "{why}");
+        for endpoint in ["quic/127.0.0.1:0", "tls/127.0.0.1:0"] {
+            let why = why_not(&config, endpoint);
+            assert!(why.contains("/nowhere/gateway.pem") && why.contains("listen_certificate in"), "{why}");
+            assert!(!why.contains("--zenoh-listen"), "{why}");
+        }
     }
 }

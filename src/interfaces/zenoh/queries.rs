@@ -1,5 +1,5 @@
-//! Queries: a gripper's `state` and `info`, its commands, and the fleet. All are operations of the API, so they are
-//! refused for the same reasons and in the same words.
+//! Queries: a gripper's `state` and `info`, the commands of a gripper and of the gateway, and the fleet. All are
+//! operations of the API, so they are refused for the same reasons and in the same words.
 //!
 //! Sending a reply can block on a client that reads nothing, so each reply is sent from a thread that nobody waits for.
 
@@ -19,7 +19,7 @@ use zenoh::session::ZenohId;
 use super::client::client;
 use super::clients::{Bond, Clients, MAX_QUERIES};
 use crate::access::{ClientOrigin, Credential, Identity, Right, Unauthorized};
-use crate::fleet::keys::{ZenohKeys, decoded, last_part};
+use crate::fleet::keys::{COMMAND, ZenohKeys, decoded, last_part};
 use crate::fleet::{EVENTS, GRIPS, READINESS, TOKEN};
 use crate::gripper::model::{Client, Door, Name, Text, Urgency};
 use crate::interfaces::metrics::InterfaceMetrics;
@@ -29,7 +29,7 @@ use crate::operations::records::RecordList;
 use crate::operations::values::{name, text};
 use crate::operations::{
     self, Caller, Code, Effect, Gateway, MAX_LEASE_BYTES, OperationReply, Presence, Problem, Wait, is_fast_stop, lease,
-    motion, named, urgency,
+    motion, named, statistics, teach, urgency,
 };
 
 /// Maximum number of concurrent FAST STOP queries of one gripper, each of which ends within 250 ms. More are refused,
@@ -47,6 +47,12 @@ const ZID: &str = "zid";
 /// Parameters that are headers over HTTP.
 const LEASE: &str = "lease";
 const REQUEST_ID: &str = "request_id";
+
+/// Commands that read many records.
+const RECORD_READS: [&str; 2] = [statistics::STATISTICS.name, teach::TEACH.name];
+
+/// Reads of a gripper besides its commands.
+const GRIPPER_READS: [&str; 2] = ["state", "info"];
 
 /// Field that names the gripper, like the key.
 const GRIPPER: &str = "gripper";
@@ -72,6 +78,8 @@ pub struct Queries {
     /// Slots of reads of events, grip records and readiness.
     record_places: Arc<Semaphore>,
     fast_stop_places: Mutex<BTreeMap<Name, Arc<Semaphore>>>,
+    /// Slots of FAST STOPs that name no gripper.
+    fast_stop_all_places: Arc<Semaphore>,
 }
 
 #[derive(Debug)]
@@ -107,6 +115,7 @@ impl Queries {
             lease_places,
             record_places: semaphore(MAX_RECORD_READS),
             fast_stop_places: Mutex::default(),
+            fast_stop_all_places: semaphore(MAX_FAST_STOPS),
         }
     }
 
@@ -123,10 +132,11 @@ impl Queries {
             let answer = move |query: Query| queries.read(query, answered.clone(), what, params.clone());
             session.declare_queryable(key).callback(answer)
         };
-        let (queries, name, key) = (self.clone(), gripper.clone(), self.keys.gripper(gripper, "command/*"));
-        let answer = move |query: Query| queries.command(query, &name);
+        let (queries, name, key) = (self.clone(), gripper.clone(), self.keys.command(Some(gripper), "*"));
+        let answer = move |query: Query| queries.command(query, Some(&name));
         let commands = session.declare_queryable(key).callback(answer);
-        Ok([read("state").await?, read("info").await?, commands.await?])
+        let [state, info] = GRIPPER_READS.map(read);
+        Ok([state.await?, info.await?, commands.await?])
     }
 
     /// Declares the queryables of the gateway and of the fleet.
@@ -136,6 +146,9 @@ impl Queries {
             let answer = move |query: Query| queries.of_gateway(query, what);
             session.declare_queryable(self.keys.own(what)).callback(answer).background().await?;
         }
+        let queries = self.clone();
+        let answer = move |query: Query| queries.command(query, None);
+        session.declare_queryable(self.keys.command(None, "*")).callback(answer).background().await?;
         let (queries, key) = (self.clone(), self.keys.own("fleet"));
         let answer = move |query: Query| queries.read(query, queries.keys.own("fleet"), "fleet", Map::new());
         session.declare_queryable(key).callback(answer).background().await
@@ -184,21 +197,27 @@ impl Queries {
         list.body(&self.gateway, &list.short_page(&self.gateway, &uri).await?)
     }
 
-    fn command(self: &Arc<Self>, query: Query, gripper: &Name) {
+    /// Answers a query for a command of a gripper, or of the gateway itself.
+    fn command(self: &Arc<Self>, query: Query, gripper: Option<&Name>) {
+        let key = query.key_expr().as_str();
+        if gripper.is_none() && !is_of_gateway(key) && !is_fast_stop(last_part(key)) {
+            return;
+        }
         let asked = self.asked(&query, gripper);
         self.answer(query, asked);
     }
 
     /// Parses a query for a command. A FAST STOP is accepted whatever its parameters.
-    fn asked(&self, query: &Query, gripper: &Name) -> Result<Asked, Problem> {
+    fn asked(&self, query: &Query, gripper: Option<&Name>) -> Result<Asked, Problem> {
         let method = last_part(query.key_expr().as_str()).to_owned();
         let is_fast_stop = is_fast_stop(&method);
-        let key = self.keys.gripper(gripper, &format!("command/{method}"));
+        let key = self.keys.command(gripper, &method);
         if (key != query.key_expr().as_str() || method.contains('*')) && !is_fast_stop {
-            let detail = "the key of a command must name one gripper: only FAST STOPs can have wildcards";
+            let detail = "the key of a command must name exactly one gateway, and one gripper for a gripper's command: only \
+                          FAST STOPs can have wildcards";
             return Err(Problem::malformed("key", detail));
         }
-        if !named(&method).any(operations::Operation::is_of_gripper) {
+        if !named(&method).any(|operation| operation.is_of_gripper() == gripper.is_some()) {
             return Err(Problem::not_found("such command; /api/v1/asyncapi.yaml lists all commands"));
         }
         if self.gateway.peers.has_twin() && urgency(&method) == Urgency::None {
@@ -217,9 +236,11 @@ impl Queries {
         } else {
             (body(&payload)?, client_name?)
         };
-        let other = params.insert("gripper".to_owned(), gripper.as_str().into());
-        if !is_fast_stop && other.is_some_and(|other| other != gripper.as_str()) {
-            return Err(Problem::malformed("gripper", "gripper differs from the gripper in the key"));
+        if let Some(gripper) = gripper {
+            let other = params.insert(GRIPPER.to_owned(), gripper.as_str().into());
+            if !is_fast_stop && other.is_some_and(|other| other != gripper.as_str()) {
+                return Err(Problem::malformed(GRIPPER, "gripper differs from the gripper in the key"));
+            }
         }
         let zid = given(ZID).filter(|_| method == lease::TAKE.name).map(|zid| session_id(&zid)).transpose()?;
         Ok(Asked {
@@ -263,12 +284,13 @@ impl Queries {
         let is_command = named(&asked.method).any(|operation| operation.starts_command);
         let (holders, all) = match urgency(&asked.method) {
             Urgency::FastStop => {
-                let Ok(name) = gripper.parse() else { return self.places.clone() };
+                let Ok(name) = gripper.parse() else { return self.fast_stop_all_places.clone() };
                 let mut places = self.fast_stop_places.lock().unwrap_or_else(PoisonError::into_inner);
                 return places.entry(name).or_insert_with(|| Arc::new(Semaphore::new(MAX_FAST_STOPS))).clone();
             }
             Urgency::Stop => (holders.stops, &self.stop_places),
             Urgency::Lease => (holders.others, &self.lease_places),
+            Urgency::None if RECORD_READS.contains(&asked.method.as_str()) => return self.record_places.clone(),
             Urgency::None if asked.wait_ms.is_some() || is_command => (holders.waiting, &self.waiting_places),
             Urgency::None => (holders.others, &self.places),
         };
@@ -282,7 +304,7 @@ impl Queries {
         let result = operations::call(&self.gateway, caller, &method, Value::Object(params)).await;
         let status = result.as_ref().map_or_else(|problem| problem.status().as_u16(), |_| 200);
         self.metrics.answered(Some(&method), "QUERY", status);
-        let OperationReply { body, effect } = result?;
+        let OperationReply { body, effect, .. } = result?;
         let Effect::Leased(lease) = effect else { return Ok(body) };
         let with_bond = with_bond(&body, bond.as_ref());
         self.clients.bind(bond, lease);
@@ -345,6 +367,13 @@ impl Queries {
             drop((query, place));
         });
     }
+}
+
+/// Whether a key that matches `command/*` of a gateway means its commands. `*/*/state` matches too, and means the states
+/// of all grippers, one of which can be called `command`.
+fn is_of_gateway(key: &str) -> bool {
+    let (before, method) = key.rsplit_once('/').unwrap_or_default();
+    last_part(before) == COMMAND && !GRIPPER_READS.contains(&method)
 }
 
 /// Parses a query's payload, within the bounds of a request's body.
@@ -432,9 +461,10 @@ mod tests {
             asked("left", "lease.renew", None),
             asked("left", "fast-stop", None),
             asked("right", "fast-stop", Some("60000")),
+            asked("", "fast-stop", None),
         ];
         // Queries of one lane share slots.
-        let lane_of = [0, 0, 1, 2, 2, 3, 4, 5];
+        let lane_of = [0, 0, 1, 2, 2, 3, 4, 5, 6];
         for (asked, lane) in lanes.iter().zip(lane_of) {
             let places = queries.places_for(asked);
             let all: Vec<_> = std::iter::from_fn(|| places.clone().try_acquire_owned().ok()).collect();

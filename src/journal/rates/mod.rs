@@ -110,7 +110,10 @@ impl Mergeable {
         Some(match detail {
             Detail::Command(CommandEvent::Admitted(admitted)) if admitted.command == Kind::Stop => Self::Stop,
             Detail::Command(CommandEvent::Done(done)) if done.command == Kind::Stop => Self::Stop,
-            Detail::Command(_) | Detail::Link(_) | Detail::Gateway(_) | Detail::Alarm(_) => return None,
+            // Each change of a recipe waits for the disk, which limits its client.
+            Detail::Command(_) | Detail::Link(_) | Detail::Gateway(_) | Detail::Alarm(_) | Detail::Recipe(_) => {
+                return None;
+            }
             Detail::FastStop(event) => Self::FastStop(discriminant(&event.event)),
             Detail::Acknowledge(_) => Self::Acknowledge,
             Detail::Lease(event) => Self::Lease(discriminant(&event.event)),

@@ -37,6 +37,7 @@ fn stop(client: &Client, number: u32) -> [Event; 2] {
         stalled: None,
         width_mm: None,
         force_n: None,
+        contact_width_mm: None,
         started_at: at(1),
         duration_ms: None,
         fast_stop_id: None,
@@ -46,7 +47,7 @@ fn stop(client: &Client, number: u32) -> [Event; 2] {
         cause: None,
         requested: RequestedValues::default(),
     };
-    [CommandEvent::Admitted(admitted), CommandEvent::Done(Box::new(done))]
+    [CommandEvent::Admitted(Box::new(admitted)), CommandEvent::Done(Box::new(done))]
         .map(|event| Event::new(at(1), Some(name("left")), Detail::Command(event)).by(client).of(id(number)))
 }
 

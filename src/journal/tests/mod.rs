@@ -8,6 +8,7 @@ mod losing;
 mod pages;
 mod pruning;
 mod recovering;
+mod statistics;
 mod versions;
 
 use std::path::PathBuf;
@@ -82,7 +83,7 @@ pub(super) fn admitted(time: i64, gripper: &str, number: u32, part_id: Option<&s
         time,
         gripper,
         number,
-        CommandEvent::Admitted(Admitted { command: Kind::Grip, holder: None, request_id, parameters }),
+        CommandEvent::Admitted(Box::new(Admitted { command: Kind::Grip, holder: None, request_id, parameters })),
     )
 }
 
@@ -96,6 +97,7 @@ pub(super) fn done(time: i64, gripper: &str, number: u32, part_id: Option<&str>,
         stalled: Some(true),
         width_mm: Some(20.1),
         force_n: Some(40.0),
+        contact_width_mm: None,
         started_at: at(time),
         duration_ms: Some(412),
         fast_stop_id: None,
@@ -139,6 +141,7 @@ pub(super) fn grip(time: i64, gripper: &str, number: u32, part_id: Option<&str>)
         width_mm: Some(20.1),
         force_n: Some(40.0),
         peak_force_n: Some(41.5),
+        travel_mm: 7.6,
         contact_width_mm: Some(20.2),
         time_to_contact_ms: Some(300),
         samples: curve.len(),

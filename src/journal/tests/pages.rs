@@ -11,6 +11,7 @@ use super::super::query::{ChainKind, page};
 use super::super::row::{Row, milliseconds};
 use super::super::store::{Memories, Store};
 use super::*;
+use crate::gripper::model::{AlarmCause, AlarmEvent, AlarmId, AlarmKind, AlarmStep};
 
 /// The values of a record that filters compare.
 struct Known<K> {
@@ -68,6 +69,23 @@ fn tick(random: &mut SmallRng, time: &mut i64) -> i64 {
     *time
 }
 
+const EVENT_KINDS: [EventKind; 4] = [EventKind::Command, EventKind::Link, EventKind::Alarm, EventKind::Lease];
+const GRIP_KINDS: [Kind; 4] = [Kind::Grip, Kind::Move, Kind::Reference, Kind::Home];
+
+/// An alarm of a drift, which has a part.
+fn drift(time: i64, gripper: &str, part_id: Option<&str>) -> Event {
+    let event = AlarmEvent {
+        event: AlarmStep::Raised,
+        alarm_id: AlarmId::generate(),
+        alarm: AlarmKind::DriftWarning,
+        priority: AlarmKind::DriftWarning.priority(),
+        gateway: None,
+        count: 1,
+        cause: AlarmCause { part_id: part_id.and_then(PartId::new), ..AlarmCause::default() },
+    };
+    Event::new(at(time), Some(name(gripper)), Detail::Alarm(Box::new(event)))
+}
+
 /// Fills a journal with events and grip records, and returns their values.
 fn fill(store: &mut Store, count: u32) -> (Vec<Known<EventKind>>, Vec<Known<Kind>>) {
     let mut random = SmallRng::seed_from_u64(1);
@@ -81,6 +99,7 @@ fn fill(store: &mut Store, count: u32) -> (Vec<Known<EventKind>>, Vec<Known<Kind
         let part = Some(if number % 2 == 0 { "P-1" } else { "P-2" }).filter(|_| random.random_range(0..3) == 0);
         let outcome = *[Outcome::PartHeld, Outcome::NoPart].choose(&mut random).unwrap();
         let event = match random.random_range(0..5) {
+            _ if random.random_range(0..100) == 0 => drift(at, gripper, part),
             0 => link(at, gripper),
             1 => started(at),
             2 => admitted(at, gripper, number, part),
@@ -99,7 +118,8 @@ fn fill(store: &mut Store, count: u32) -> (Vec<Known<EventKind>>, Vec<Known<Kind
         event_end = row.tip;
         rows.push(row);
         if number % 3 == 0 {
-            let kind = if part.is_some() { Kind::Grip } else { *[Kind::Grip, Kind::Move].choose(&mut random).unwrap() };
+            let other = if part.is_some() { Kind::Reference } else { Kind::Move };
+            let kind = if random.random_range(0..20) == 0 { other } else { Kind::Grip };
             let record = GripRecord { kind, outcome, curve: Vec::new(), ..grip(at, gripper, number, part) };
             let row = Row::grip(grip_end, &record).unwrap();
             grips.push(Known {
@@ -163,16 +183,16 @@ fn compare<K: ChainKind + std::fmt::Debug>(store: &Store, known: &[Known<K>], ki
 fn pages_match_a_scan_of_all_records() {
     let mut store = Store::open(JournalLocation::Memory).unwrap();
     let (events, grips) = fill(&mut store, 6000);
-    compare(&store, &events, &[EventKind::Command, EventKind::Link, EventKind::Lease]);
-    compare(&store, &grips, &[Kind::Grip, Kind::Move, Kind::Home]);
+    compare(&store, &events, &EVENT_KINDS);
+    compare(&store, &grips, &GRIP_KINDS);
 }
 
 #[test]
 fn page_of_a_large_journal_is_fast() {
     let mut store = Store::open(JournalLocation::Memory).unwrap();
     let (events, grips) = fill(&mut store, 60_000);
-    slowest(&store, &events, &[EventKind::Command, EventKind::Link, EventKind::Lease]);
-    slowest(&store, &grips, &[Kind::Grip, Kind::Move, Kind::Home]);
+    slowest(&store, &events, &EVENT_KINDS);
+    slowest(&store, &grips, &GRIP_KINDS);
 }
 
 fn slowest<K: ChainKind + std::fmt::Debug>(store: &Store, known: &[Known<K>], kinds: &[K]) {

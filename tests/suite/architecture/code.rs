@@ -16,6 +16,9 @@ use super::is_in;
 /// For example `["wsg", "frame", "encode"]`.
 type Path = Vec<String>;
 
+/// Attributes of code that is not compiled into the gateway.
+const NOT_SHIPPED: [&str; 2] = ["#[cfg(test)]", "#[cfg(any(test,fuzzing))]"];
+
 /// Constructors of queues, which take the capacity as first argument.
 const QUEUES: &[&str] = &["mpsc::channel", "broadcast::channel", "broadcast::Sender::new", "sync_channel"];
 
@@ -141,7 +144,7 @@ macro_rules! declaring {
     )*};
 }
 
-/// Implements visits of nodes that can carry `#[cfg(test)]`.
+/// Implements visits of nodes that can carry an attribute of [`NOT_SHIPPED`].
 macro_rules! scoped {
     ($($visit:ident: $node:ty),*) => {$(
         fn $visit(&mut self, node: &$node) {
@@ -162,7 +165,7 @@ impl Visit<'_> for Code {
     // A node's attributes are visited before its other parts.
     fn visit_attribute(&mut self, attribute: &Attribute) {
         visit::visit_attribute(self, attribute);
-        self.is_ignored |= written(attribute) == "#[cfg(test)]";
+        self.is_ignored |= NOT_SHIPPED.contains(&&*written(attribute));
     }
 
     fn visit_block(&mut self, block: &Block) {

@@ -20,18 +20,19 @@ const ROOMS: &str = "
     main: cli
     cli: access config daemon doctor fleet interfaces interfaces/http interfaces/websocket gripper/model journal logging
         wsg wsg/frame
-    alarms: fleet gripper gripper/model gripper/recorder journal
-    daemon: access alarms config interfaces interfaces/dashboard interfaces/http interfaces/wsg_port
-        interfaces/zenoh events fleet operations gripper gripper/actor gripper/model gripper/recorder journal sim
-        transport trends webhooks
+    alarms: fleet gripper gripper/model gripper/recorder journal wear
+    daemon: access alarms config interfaces interfaces/dashboard interfaces/http interfaces/modbus interfaces/wsg_port
+        interfaces/zenoh events fleet operations gripper gripper/actor gripper/model gripper/recorder journal recipes
+        sim transport trends wear webhooks
     doctor: access config daemon gripper/model interfaces journal transport wsg wsg/frame
-    config: access fleet gripper/model journal transport webhooks
+    config: access fleet gripper/model journal transport wear webhooks
     logging:
-    operations: access alarms events fleet gripper gripper/model gripper/recorder journal trends webhooks wsg
-    interfaces: access operations
+    operations: access alarms events fleet gripper gripper/model gripper/recorder journal recipes trends wear webhooks wsg
+    interfaces: access gripper/model operations
     interfaces/dashboard: operations
     interfaces/http: access alarms interfaces interfaces/dashboard interfaces/websocket events fleet operations
-        gripper gripper/model journal trends
+        gripper gripper/model journal recipes trends
+    interfaces/modbus: interfaces gripper gripper/model operations wsg
     interfaces/websocket: access interfaces events gripper gripper/model operations
     interfaces/wsg_port: access interfaces gripper gripper/model operations wsg wsg/crc wsg/frame
     interfaces/zenoh: access interfaces events fleet gripper gripper/model journal operations
@@ -45,9 +46,11 @@ const ROOMS: &str = "
     gripper/model: gripper wsg
     gripper/recorder: gripper/model
     gripper/setup: wsg wsg/session
+    recipes: gripper gripper/model gripper/recorder journal
     sim: wsg wsg/frame
     transport:
     trends: gripper gripper/model
+    wear: gripper gripper/model gripper/recorder journal
     webhooks: gripper gripper/model gripper/recorder journal
     wsg: wsg/frame
     wsg/crc:
@@ -57,8 +60,8 @@ const ROOMS: &str = "
 
 /// Rooms without import cycles, neither within a room nor across these rooms.
 const WITHOUT_CIRCLES: &str = "
-    lib access main cli logging operations alarms fleet trends
-    interfaces interfaces/dashboard interfaces/http interfaces/websocket interfaces/wsg_port interfaces/zenoh
+    lib access main cli logging operations alarms fleet recipes trends wear
+    interfaces interfaces/dashboard interfaces/http interfaces/modbus interfaces/websocket interfaces/wsg_port interfaces/zenoh
     gripper gripper/latch gripper/recorder gripper/setup transport wsg wsg/crc wsg/frame
 ";
 

@@ -163,6 +163,11 @@ impl Gateway {
         Self { process, base, http: reqwest::Client::new(), tokens: None }
     }
 
+    /// Log so far.
+    pub fn log(&self) -> String {
+        self.process.log()
+    }
+
     /// Standard output so far.
     pub fn stdout(&self) -> String {
         self.process.stdout()

@@ -34,6 +34,23 @@ const LOOK_EVERY: Duration = Duration::from_millis(5);
 /// Ids of frames that move the fingers.
 pub const MOTIONS: [u8; 4] = [0x20, 0x21, 0x25, 0x26];
 
+/// Maximum number of measurements of [`shortest`].
+const MEASUREMENTS: usize = 3;
+
+/// Measures up to three times, and stops at the first result within the limit. Returns the shortest, because other
+/// processes on the machine only add time.
+pub async fn shortest(limit: Duration, mut measure: impl AsyncFnMut() -> Duration) -> Duration {
+    let mut shortest = measure().await;
+    for _ in 1..MEASUREMENTS {
+        if shortest <= limit {
+            break;
+        }
+        println!("measured again, because {shortest:?} is above {limit:?}");
+        shortest = shortest.min(measure().await);
+    }
+    shortest
+}
+
 /// Waits until `look` returns a value.
 pub async fn eventually<T>(what: &str, mut look: impl AsyncFnMut() -> Option<T>) -> T {
     let until = Instant::now() + DEADLINE;

@@ -89,6 +89,11 @@ impl Process {
         .await
     }
 
+    /// Standard error so far.
+    pub fn log(&self) -> String {
+        self.stderr.text()
+    }
+
     /// Standard output so far.
     pub fn stdout(&self) -> String {
         self.stdout.text()

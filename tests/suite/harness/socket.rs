@@ -1,6 +1,7 @@
 //! A WebSocket client.
 
 use std::collections::{HashMap, VecDeque};
+use std::sync::LazyLock;
 use std::time::Duration;
 
 use futures_util::{SinkExt as _, StreamExt as _};
@@ -28,13 +29,15 @@ pub struct Socket {
     /// Methods of the requests, by id.
     asked: HashMap<u64, String>,
     queued: VecDeque<Value>,
-    description: Description,
 }
 
 /// Message schemas of the AsyncAPI document. They apply to all messages read, and to all messages sent through
 /// [`Socket::call`].
 #[derive(Debug)]
 struct Description(HashMap<String, Validator>);
+
+/// Parsed once, since this takes long enough for an open socket to miss pings.
+static DESCRIPTION: LazyLock<Description> = LazyLock::new(Description::read);
 
 impl Description {
     fn read() -> Self {
@@ -76,8 +79,7 @@ impl Socket {
 
     /// Opens a WebSocket with this request.
     pub async fn with(request: Request) -> Result<Self, Error> {
-        // Reading the document takes a while, during which no ping would be answered.
-        let description = Description::read();
+        LazyLock::force(&DESCRIPTION);
         let address = request.uri().authority().unwrap().as_str().parse().unwrap();
         let socket = TcpSocket::new_v4().unwrap();
         // Small, so that a test of a stalled reader fills the buffer quickly.
@@ -85,7 +87,7 @@ impl Socket {
         let connected = socket.connect(address).await.unwrap();
         let (stream, _) = client_async(request, connected).await?;
         let (asked, queued) = (HashMap::new(), VecDeque::new());
-        Ok(Self { stream, last_id: 0, asked, queued, description })
+        Ok(Self { stream, last_id: 0, asked, queued })
     }
 
     pub async fn send(&mut self, text: impl Into<String>) {
@@ -134,7 +136,7 @@ impl Socket {
                 (None, _) if message.get("result").is_some() => continue,
                 (None, _) => "error".to_owned(),
             };
-            self.description.check(&name, message);
+            DESCRIPTION.check(&name, message);
         }
         Some(message)
     }
@@ -154,7 +156,7 @@ impl Socket {
     /// Sends a request, and returns its result.
     pub async fn call(&mut self, method: &str, params: Value) -> Value {
         let request = json!({"jsonrpc": "2.0", "id": 1, "method": method, "params": params});
-        self.description.check(method, &request);
+        DESCRIPTION.check(method, &request);
         let id = self.begin(method, params).await;
         let answer = self.answer(id).await;
         assert!(answer.get("error").is_none(), "{method}: {answer}");
@@ -180,8 +182,8 @@ impl Socket {
     }
 
     /// Whether the AsyncAPI document allows this message.
-    pub fn is_described(&self, name: &str, message: &Value) -> bool {
-        self.description.allows(name, message)
+    pub fn is_described(name: &str, message: &Value) -> bool {
+        DESCRIPTION.allows(name, message)
     }
 
     /// Drops queued messages.

@@ -1,5 +1,6 @@
 //! The lease: the right to move the gripper, and the effects of losing its holder.
 
+mod losing;
 mod returning;
 
 use std::pin::Pin;
@@ -14,7 +15,7 @@ use wsg_gateway::gripper::model::{
     State, Submission, TakeLease,
 };
 use wsg_gateway::gripper::{AcquiredLease, Conflict, Rejection, Ticket};
-use wsg_gateway::sim::{Change, Interface};
+use wsg_gateway::sim::Change;
 use wsg_gateway::wsg::{self, Acceleration, Speed, Width, id};
 
 use super::NOTHING;
@@ -161,26 +162,6 @@ fn lease_held_names_the_holder_and_its_remaining_time() {
 }
 
 #[test]
-fn holder_lost_during_a_motion_is_a_fast_stop_within_the_ttl() {
-    let mut world = homed();
-    let a = token(&mut world, wish("a"));
-    let running = submit_with(&mut world, move_to(5.0, 10.0), a).unwrap();
-    let from = mark(&world);
-    close(&mut world, running);
-    let lost = world.now;
-    world.advance(Duration::from_millis(490));
-    assert_eq!(fast_stops(&world, from), 0);
-    world.advance(Duration::from_millis(60));
-    let sent = world.device.received()[from..].iter().find(|frame| frame.id == id::FAST_STOP).unwrap().at;
-    assert!(sent <= lost + TTL + Duration::from_millis(50), "{:?}", sent - lost);
-    assert_eq!(fast_stops(&world, from), 1, "no repeat after the confirmation");
-    let latch = latch(&world);
-    assert_eq!((latch.fast_stop_cause, &*latch.fast_stop_by), (FastStopCause::ClientLost, "http:a"));
-    assert_eq!(latch.fast_stop_reason.as_str(), "lease holder a lost");
-    assert!(latch.fast_stop_confirmed && !lease(&mut world).held);
-}
-
-#[test]
 fn holder_lost_with_a_part_leaves_it_held_and_reserved() {
     let mut world = homed();
     let a = token(&mut world, wish("a"));
@@ -316,27 +297,6 @@ fn stall_of_the_gateway_extends_the_lease_once() {
 }
 
 #[test]
-fn holder_chooses_the_fate_of_its_motion() {
-    for (choice, sent, outcome) in [
-        (OnLossMoving::Stop, vec![id::STOP], Outcome::Aborted),
-        (OnLossMoving::Finish, NOTHING.to_vec(), Outcome::Success),
-        (OnLossMoving::FastStop, vec![id::FAST_STOP], Outcome::Aborted),
-    ] {
-        let mut world = homed();
-        let a = token(&mut world, TakeLease { on_loss_moving: Some(choice), ..wish("a") });
-        let running = submit_with(&mut world, move_to(80.0, 20.0), a.clone()).unwrap();
-        world.advance(Duration::from_millis(300));
-        let from = mark(&world);
-        let lost = a.unwrap();
-        drop(request(&mut world, |_: oneshot::Sender<()>| ActorRequest::LoseLease { token: lost, times_taken: None }));
-        assert_eq!(finish(&mut world, &running).outcome, Some(outcome), "{choice:?}");
-        world.advance(Duration::from_secs(1));
-        assert_eq!(received(&world, from), sent, "{choice:?}");
-        assert_eq!(lease(&mut world).reserved_for, None, "nothing is held: {choice:?}");
-    }
-}
-
-#[test]
 fn holder_chooses_the_fate_of_a_held_part() {
     let mut world = homed();
     lose_while_holding(&mut world, TakeLease { on_loss_holding: Some(OnLossHolding::FastStop), ..wish("a") });
@@ -388,26 +348,6 @@ fn hand_over_aborts_a_waiting_motion() {
 }
 
 #[test]
-fn holder_lost_during_an_unknown_motion_is_a_fast_stop() {
-    let mut world = World::calm_on(Interface::Udp, device(), None);
-    run(&mut world, home());
-    let a = token(&mut world, TakeLease { ttl: Some(Duration::from_mins(1)), ..wish("a") });
-    let running = submit_with(&mut world, move_to(5.0, 5.0), a.clone()).unwrap();
-    world.advance(Duration::from_millis(300));
-    // UDP has no connection to end, so the fingers keep moving.
-    world.disconnected("unplugged");
-    assert_eq!(finish(&mut world, &running).outcome, Some(Outcome::Unknown));
-    world.advance(Duration::from_secs(1));
-    assert_eq!((state(&world).moving, state(&world).command), (Some(true), None));
-    let from = mark(&world);
-    let lost = a.unwrap();
-    drop(request(&mut world, |_: oneshot::Sender<()>| ActorRequest::LoseLease { token: lost, times_taken: None }));
-    world.advance(Duration::from_millis(200));
-    assert_eq!(received(&world, from), [id::FAST_STOP]);
-    assert!(!world.device.snapshot().moving);
-}
-
-#[test]
 fn grip_that_ends_after_the_loss_reserves_the_part() {
     let mut world = homed();
     let a = token(&mut world, finish_moving(wish("a")));
@@ -450,22 +390,6 @@ fn forced_take_stops_a_motion_without_a_holder() {
         assert_eq!(finish(&mut world, &running).outcome, Some(Outcome::Aborted));
         assert_eq!((received(&world, from), state(&world).fast_stop), (vec![id::STOP], Some(false)));
     }
-}
-
-#[test]
-fn loss_of_the_holder_aborts_a_waiting_motion() {
-    let mut world = homed();
-    let a = token(&mut world, TakeLease { on_loss_moving: Some(OnLossMoving::Stop), ..wish("a") });
-    // A motion waits in the pause after the one before.
-    let first = submit_with(&mut world, move_to(80.0, 200.0), a.clone()).unwrap();
-    finish(&mut world, &first);
-    let from = mark(&world);
-    let waiting = submit_with(&mut world, move_to(5.0, 10.0), a.clone()).unwrap();
-    let lost = a.unwrap();
-    drop(request(&mut world, |_: oneshot::Sender<()>| ActorRequest::LoseLease { token: lost, times_taken: None }));
-    assert_eq!(finish(&mut world, &waiting).outcome, Some(Outcome::Aborted));
-    world.advance(Duration::from_secs(1));
-    assert!(!received(&world, from).contains(&id::PRE_POSITION));
 }
 
 #[test]

@@ -39,7 +39,14 @@ pub fn home() -> Motion {
 
 pub fn grip(force_n: Option<f32>) -> Motion {
     let force = force_n.map(|n| Force::new(n).unwrap());
-    Motion::Grip { width: Width::new(20.0).unwrap(), speed: Speed::new(50.0).unwrap(), force, part_id: None }
+    Motion::Grip {
+        width: Width::new(20.0).unwrap(),
+        speed: Speed::new(50.0).unwrap(),
+        force,
+        part_id: None,
+        recipe: None,
+        is_reference: false,
+    }
 }
 
 pub fn move_to(mm: f32, mm_s: f32) -> Motion {

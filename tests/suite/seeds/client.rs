@@ -67,7 +67,10 @@ impl Clients {
                 let part_id = PartId::new("4711");
                 let speed = Self::next_speed(world);
                 let width = Width::new(20.0).unwrap();
-                Self::submit_motion(world, Motion::Grip { width, speed, force, part_id });
+                Self::submit_motion(
+                    world,
+                    Motion::Grip { width, speed, force, part_id, recipe: None, is_reference: false },
+                );
             }
             Ask::Release => {
                 let speed = Self::next_speed(world);
@@ -135,7 +138,7 @@ impl Clients {
         let number = world.clients.submitted;
         let request_id = world.rng.random_bool(0.5).then(|| format!("r{number}-{}", motion.kind()));
         let submission = if world.rng.random_bool(0.2) && is_never_clamped(&motion) {
-            let (client, token) = Leases::driver(world);
+            let (client, token) = Leases::driver_or_plc(world);
             Submission { client, lease: Some(token), ..submission(Action::Motion(motion), None) }
         } else {
             let lease = Leases::any_token(world);

@@ -7,8 +7,8 @@ use rand::RngExt;
 use tokio::sync::oneshot;
 use wsg_gateway::gripper::handle::ActorRequest;
 use wsg_gateway::gripper::model::{
-    Client, Door, HolderName, LeaseEvent, LeaseStep, LeaseToken, LossEffect, OnLossHolding, OnLossMoving, Phase,
-    TakeLease,
+    Client, Door, HolderName, LeaseEvent, LeaseStep, LeaseToken, Link, LossEffect, OnLossHolding, OnLossMoving, Phase,
+    State, TakeLease,
 };
 use wsg_gateway::gripper::{Conflict, Rejection, Ticket};
 use wsg_gateway::wsg::SystemState;
@@ -48,6 +48,9 @@ const STREAM_LASTS: Duration = Duration::from_secs(1).saturating_add(DEFAULT_TTL
 /// Subject of the client that speaks the device's protocol.
 const DRIVER: &str = "wsg:10.0.0.1";
 
+/// A client of Modbus, whose motions take a free lease, too.
+const PLC: &str = "modbus:10.0.0.2";
+
 /// Independent model of the leases.
 #[derive(Default)]
 pub struct Leases {
@@ -80,6 +83,11 @@ struct Current {
     holder: &'static str,
     ttl: Duration,
     used: Instant,
+}
+
+/// Whether the gateway has a link to the device.
+fn has_link(state: &State) -> bool {
+    matches!(state.link, Link::Connected | Link::Unresponsive)
 }
 
 impl Leases {
@@ -228,15 +236,25 @@ impl Leases {
         }
     }
 
-    /// Returns a driver client with its connection's token: the current holder's, or a new connection's.
+    /// Returns a driver client with its connection's token.
     pub fn driver(world: &mut World) -> (Client, LeaseToken) {
-        let holder = world.leases.current.as_ref().filter(|current| current.holder == DRIVER);
+        Self::bound(world, DRIVER, Door::Wsg)
+    }
+
+    /// Returns in turn a driver and a client of Modbus, with its connection's token.
+    pub fn driver_or_plc(world: &mut World) -> (Client, LeaseToken) {
+        if world.leases.drivers.is_multiple_of(2) { Self::driver(world) } else { Self::bound(world, PLC, Door::Modbus) }
+    }
+
+    /// Returns a client whose lease ends with its connection: the current holder, or a new connection.
+    fn bound(world: &mut World, subject: &'static str, door: Door) -> (Client, LeaseToken) {
+        let holder = world.leases.current.as_ref().filter(|current| current.holder == subject);
         let token = holder.map_or_else(
             || LeaseToken::from(format!("driver {}", world.leases.drivers).as_str()),
             |current| current.token.clone(),
         );
         world.leases.drivers += 1;
-        (Client::new(DRIVER, Door::Wsg), token)
+        (Client::new(subject, door), token)
     }
 
     /// Records that a driver has used a script, which renews the lease if the driver holds it.
@@ -259,26 +277,31 @@ impl Leases {
             assert!(!Self::is_alive(world), "a script took a held lease\n{}", world.tail());
             let token = world.leases.scripted.clone().expect("a driver has used a script");
             world.count("lease: taken by a script", true);
-            Self::claimed(world, &token);
+            Self::claimed(world, DRIVER, &token);
         }
     }
 
-    /// Records that a driver's motion took the free lease.
-    fn claimed(world: &mut World, token: &LeaseToken) {
+    /// Records that a motion took the free lease.
+    fn claimed(world: &mut World, holder: &'static str, token: &LeaseToken) {
         let epoch = world.watches.state.borrow().lease_epoch;
         world.leases.on_loss_moving.insert(epoch, OnLossMoving::FastStop);
         world.leases.given.push(token.clone());
         world.leases.open.clear();
         let (token, ttl) = (token.clone(), DEFAULT_TTL);
-        world.leases.current = Some(Current { token, holder: DRIVER, ttl, used: world.now });
+        world.leases.current = Some(Current { token, holder, ttl, used: world.now });
     }
 
     /// Checks the answer to a motion request.
     pub fn asked(world: &mut World, door: Door, token: Option<&LeaseToken>, result: Result<&Ticket, &Rejection>) {
         let is_new = result.is_ok_and(|ticket| !ticket.now().replayed);
-        if let (Door::Wsg, Some(token), true) = (door, token, is_new && !Self::is_alive(world)) {
-            world.count("lease: taken by a motion", true);
-            Self::claimed(world, token);
+        let holder = match door {
+            Door::Wsg => Some(DRIVER),
+            Door::Modbus => Some(PLC),
+            _ => None,
+        };
+        if let (Some(holder), Some(token), true) = (holder, token, is_new && !Self::is_alive(world)) {
+            world.count(&format!("lease: taken by a motion of {holder}"), true);
+            Self::claimed(world, holder, token);
         }
         let alive = Self::is_alive(world);
         let current = world.leases.current.as_ref().map(|current| &current.token).filter(|_| alive);
@@ -374,7 +397,11 @@ impl Leases {
         };
         let moved = Self::moved(world);
         if moved == Some(true) {
-            assert_eq!(event.effect, Some(chosen), "wrong effect for moving fingers\n{}", world.tail());
+            // A Stop needs a session, which a link without values may have.
+            let may_be_harder = chosen == LossEffect::Stop && !has_link(&world.watches.state.borrow());
+            let chosen = if may_be_harder { event.effect } else { Some(chosen) };
+            assert!(!may_be_harder || matches!(chosen, Some(LossEffect::Stop | LossEffect::FastStop)), "{chosen:?}");
+            assert_eq!(event.effect, chosen, "wrong effect for moving fingers\n{}", world.tail());
         }
         if moved == Some(false) {
             // A held part can still mean a FAST STOP.
@@ -394,7 +421,8 @@ impl Leases {
         let is_long = world.now >= since + KNOWN_AFTER;
         let is_heard = state.updated_at.is_some_and(|at| world.now < at + HEARD_WITHIN);
         let reported = state.moving.filter(|_| state.moving == fingers.reported_moving);
-        let stands = !fingers.runs && state.command.is_none();
+        // If the link was lost, the last motion may continue.
+        let stands = !fingers.runs && state.command.is_none() && has_link(&state);
         let is_steered = fingers.streamed.is_some_and(|at| world.now < at + STREAM_LASTS);
         match (moves && is_long && is_heard, reported) {
             _ if is_steered && !moves => None,

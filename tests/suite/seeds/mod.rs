@@ -12,11 +12,18 @@ mod wire;
 pub mod world;
 
 use std::collections::BTreeMap;
+use std::sync::mpsc;
+use std::time::{Duration, Instant};
 
 use world::World;
 
 /// Number of seeds without `SEEDS`.
 const DEFAULT_SEEDS: u64 = 1000;
+
+const THREADS: u64 = 2;
+
+/// Time limit of one seed, far above the fraction of a second that it takes.
+const ENDS_WITHIN: Duration = Duration::from_mins(1);
 
 fn variable(name: &str) -> Option<u64> {
     std::env::var(name).ok().map(|value| value.parse().expect("a number"))
@@ -30,27 +37,33 @@ fn no_schedule_violates_an_invariant() {
         return;
     }
     let seeds = variable("SEEDS").unwrap_or(DEFAULT_SEEDS);
-    let threads = 2;
-    let counts: Vec<_> = std::thread::scope(|scope| {
-        let run = |first| {
-            scope.spawn(move || {
-                let mut counts = BTreeMap::new();
-                for seed in (first..seeds).step_by(threads) {
-                    let ran = std::panic::catch_unwind(|| World::run(seed).counts());
-                    let ran = ran.unwrap_or_else(|_| panic!("seed {seed} fails: run with SEED={seed} for its log"));
-                    for (name, count) in ran {
-                        *counts.entry(name).or_insert(0) += count;
-                    }
+    let (ended, results) = mpsc::channel();
+    for first in 0..THREADS {
+        let ended = ended.clone();
+        // Not joined, so that a hanging schedule fails this test instead of blocking it.
+        std::thread::spawn(move || {
+            for seed in (first..seeds).step_by(THREADS as usize) {
+                let counts = std::panic::catch_unwind(|| World::run(seed).counts());
+                if ended.send((seed, counts.ok())).is_err() {
+                    return;
                 }
-                counts
-            })
-        };
-        let running: Vec<_> = (0..threads as u64).map(run).collect();
-        running.into_iter().map(|thread| thread.join().unwrap()).collect()
-    });
+            }
+        });
+    }
+    let mut running: BTreeMap<u64, Instant> = (0..THREADS.min(seeds)).map(|seed| (seed, Instant::now())).collect();
     let mut total: BTreeMap<String, u64> = BTreeMap::new();
-    for (name, count) in counts.into_iter().flatten() {
-        *total.entry(name).or_default() += count;
+    while let Some((&slowest, begun)) = running.iter().min_by_key(|(_, begun)| **begun) {
+        let Ok((seed, counts)) = results.recv_timeout(ENDS_WITHIN.saturating_sub(begun.elapsed())) else {
+            panic!("seed {slowest} did not end within {ENDS_WITHIN:?}: run with SEED={slowest}");
+        };
+        let Some(counts) = counts else { panic!("seed {seed} fails: run with SEED={seed} for its log") };
+        for (name, count) in counts {
+            *total.entry(name).or_default() += count;
+        }
+        running.remove(&seed);
+        if seed + THREADS < seeds {
+            running.insert(seed + THREADS, Instant::now());
+        }
     }
     println!("{seeds} seeds, no violation found; events: {total:#?}");
     let missing: Vec<_> = total.iter().filter(|&(_, &count)| count == 0).map(|(name, _)| name).collect();

@@ -34,8 +34,8 @@ const SCHEDULE: Duration = Duration::from_secs(8);
 /// Time for everything to come to rest afterwards: longer than the longest deadline.
 const REST: Duration = Duration::from_secs(150);
 
-/// Maximum number of due events in one world, far above any real run.
-const MAX_STEPS: u64 = 5_000_000;
+/// Maximum number of due events, frames and records in one world, far above any real run.
+const MAX_STEPS: u64 = 1_000_000;
 
 /// The world of one seed.
 pub struct World {
@@ -55,7 +55,7 @@ pub struct World {
     pub counts: BTreeMap<String, u64>,
     connected: bool,
     pub interface: Interface,
-    /// Number of due events so far.
+    /// Number of due events, frames and records so far.
     steps: u64,
     reconnect_at: Option<Instant>,
     bytes_per_second: Option<u32>,
@@ -242,10 +242,15 @@ impl World {
                 return;
             };
             self.now = self.now.max(next);
-            self.steps += 1;
-            assert!(self.steps < MAX_STEPS, "the schedule does not end\n{}", self.tail());
+            self.count_step();
             self.step();
         }
+    }
+
+    /// Counts one step, and fails beyond [`MAX_STEPS`].
+    pub fn count_step(&mut self) {
+        self.steps += 1;
+        assert!(self.steps < MAX_STEPS, "the schedule does not end\n{}", self.tail());
     }
 
     fn step(&mut self) {
@@ -310,6 +315,7 @@ impl World {
             if !self.actor.poll_transmit(now, &mut frame) {
                 return;
             }
+            self.count_step();
             Invariants::sent(self, &frame);
             let line_time = self.bytes_per_second.map(|rate| Duration::from_secs(1) * frame.len() as u32 / rate);
             self.busy_until = line_time.map(|time| self.now + time);

@@ -46,7 +46,8 @@ async fn command_leaves_the_same_records_as_over_http() {
         assert_eq!(by(http), (json!("http"), json!("http:127.0.0.1")));
         assert_eq!(by(zenoh), (json!("zenoh"), json!("zenoh:robot-1")));
         // Values that the device measured.
-        let measured: &[&str] = if http["phase"] == "done" { &["width_mm", "force_n"] } else { &[] };
+        let measured: &[&str] =
+            if http["phase"] == "done" { &["width_mm", "force_n", "contact_width_mm"] } else { &[] };
         for &measured in measured {
             let (one, other) = (http.remove(measured), zenoh.remove(measured));
             let difference = one.unwrap().as_f64().unwrap() - other.unwrap().as_f64().unwrap();

@@ -379,6 +379,8 @@ async fn lease_survives_a_router_outage_within_its_ttl() {
     assert_eq!(pair.far.state().await["lease_holder"], "plc");
     pair.router = Router::at(endpoint);
     until_whole(&pair.near, 2).await;
+    // The states of a gateway arrive on their own, perhaps before requests reach it again.
+    eventually("far answers", async || (pair.near.get(&far("/state")).await.status == 200).then_some(())).await;
     let leased = |verb: &str, path: &str| pair.near.request(verb, &far(path)).header("Wsg-Lease", &lease);
     pair.near.send(leased("POST", "/home").json(&json!({"direction": "outer"}))).await.outcome("SUCCESS");
     pair.near.send(leased("DELETE", "/lease")).await.ok();

@@ -5,6 +5,7 @@ mod fleet;
 mod leases;
 mod names;
 mod publications;
+mod recipes;
 pub mod router;
 mod tls;
 

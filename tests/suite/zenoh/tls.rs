@@ -70,7 +70,7 @@ fn named(name: &str) -> CertificateParams {
 fn shipped(certificates: &Certificates) -> String {
     let text = std::fs::read_to_string(SHIPPED).unwrap();
     let text = text.replace("/etc/wsg-gateway", certificates.directory.to_str().unwrap());
-    let changed = text.replace("tls/0.0.0.0:7447", "tls/localhost:0");
+    let changed = text.replace("quic/0.0.0.0:7447", "quic/localhost:0");
     assert!(changed.contains("localhost:0") && !changed.contains("/etc/"), "{changed}");
     changed
 }
@@ -95,7 +95,7 @@ async fn served(certificates: &Certificates) -> (Gateway, Proxy, Simulator, Stri
     gateway.until_link("connected").await;
     let endpoint = gateway.word_after("Zenoh: ").await;
     let port = endpoint.rsplit(':').next().unwrap();
-    let endpoint = format!("tls/localhost:{port}");
+    let endpoint = format!("quic/localhost:{port}");
     (gateway, proxy, device, endpoint)
 }
 

@@ -9,7 +9,7 @@ use utoipa::ToSchema;
 
 use super::{
     AlarmEvent, Client, ClientLabel, Code, CommandId, CommandReport, Door, FastStopCause, FastStopId, Kind, Name,
-    Outcome, Parameters, PartId, RequestId, RequestedValues, lease::LeaseEvent,
+    Outcome, Parameters, PartId, RecipeEvent, RequestId, RequestedValues, Text, lease::LeaseEvent,
 };
 
 mod device;
@@ -91,7 +91,9 @@ pub enum Detail {
     /// The gateway started, ended, or changed its records.
     Gateway(GatewayEvent),
     /// An alarm was raised, ended or was acknowledged.
-    Alarm(AlarmEvent),
+    Alarm(Box<AlarmEvent>),
+    /// A recipe was set or removed.
+    Recipe(Box<RecipeEvent>),
 }
 
 /// Admission or end of a command.
@@ -99,7 +101,7 @@ pub enum Detail {
 #[serde(tag = "phase", rename_all = "lowercase")]
 pub enum CommandEvent {
     /// The command was admitted.
-    Admitted(Admitted),
+    Admitted(Box<Admitted>),
     /// The command has ended.
     Done(Box<Done>),
 }
@@ -147,6 +149,10 @@ pub struct Done {
     /// Gripping force at the end, in N.
     #[schema(required)]
     pub force_n: Option<f32>,
+    /// Opening width at which the fingers met the part, in mm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    pub contact_width_mm: Option<f32>,
     /// Time of admission.
     #[serde(serialize_with = "super::time::milliseconds")]
     #[schema(value_type = String, format = DateTime)]
@@ -191,6 +197,7 @@ impl Done {
             stalled: command.stalled,
             width_mm: command.width_mm,
             force_n: command.force_n,
+            contact_width_mm: command.contact_width_mm,
             started_at: command.started_at,
             duration_ms: command.duration_ms,
             fast_stop_id: command.fast_stop_id,
@@ -300,6 +307,26 @@ pub enum SettingChange {
     Tare,
     /// The statistics were reset.
     StatisticsReset,
+    /// A finger set was mounted, or its maintenance limits were set.
+    FingerSet(Box<FingerSetChange>),
+}
+
+/// The finger set of a gripper, as a client has named it.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct FingerSetChange {
+    /// Id of the finger set.
+    #[schema(value_type = String, max_length = 48)]
+    pub finger_set: Text<48>,
+    /// Time from which the use of the set is counted.
+    #[serde(serialize_with = "super::time::milliseconds")]
+    #[schema(value_type = String, format = DateTime)]
+    pub mounted_at: Timestamp,
+    /// Number of grips after which the set needs maintenance; null if there is no such limit.
+    #[schema(required)]
+    pub maintenance_cycles: Option<u64>,
+    /// Distance after which the set needs maintenance, in m; null if there is no such limit.
+    #[schema(required)]
+    pub maintenance_travel_m: Option<f64>,
 }
 
 /// A refusal, or several equal ones within one second.

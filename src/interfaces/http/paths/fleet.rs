@@ -1,7 +1,8 @@
 //! Paths of the fleet: the grippers of all gateways.
 
 use super::paths;
-use super::responses::{AnyProblem, CommandProblem};
+use super::responses::{AnyProblem, CommandProblem, CopyProblem};
+use crate::operations::copy_recipes::{self, CopyRecipes, RecipesCopied};
 use crate::operations::fast_stop::FastStopBody;
 use crate::operations::fleet::{self, FleetAcknowledge, FleetAcknowledged, FleetFastStopAnswer, FleetList};
 
@@ -46,4 +47,18 @@ paths! {
         responses((status = 200, description = "The acknowledgements were sent", body = FleetAcknowledged), CommandProblem)
     )]
     acknowledge => fleet::ACKNOWLEDGE;
+}
+
+paths! {
+    /// Copy recipes to another gateway
+    ///
+    /// Sets recipes of this gateway on another one: all that are named, or none if it refuses one, e.g. because a number
+    /// belongs to another part there. Its further recipes stay as they are. The two gateways do not follow each other's
+    /// later changes.
+    #[utoipa::path(
+        post, path = "/fleet/copy-recipes", operation_id = "copy_recipes", tag = "recipes",
+        request_body = CopyRecipes,
+        responses((status = 200, description = "The other gateway has the recipes", body = RecipesCopied), CopyProblem)
+    )]
+    copy_recipes => copy_recipes::COPY;
 }

@@ -3,7 +3,7 @@
 use super::parameters::CommandReply;
 use super::parameters::{GripperPath, KeyHeaders, WaitQuery};
 use super::paths;
-use super::responses::DeviceProblem;
+use super::responses::{DeviceProblem, RecipeMotionProblem};
 use crate::operations::motion::{self, Grip, Home, Move, Release, Stop};
 
 paths! {
@@ -36,7 +36,7 @@ paths! {
         post, path = "/grippers/{gripper}/grip", operation_id = "grip", tag = "motion",
         params(GripperPath, WaitQuery, KeyHeaders),
         request_body = Grip,
-        responses(CommandReply, DeviceProblem)
+        responses(CommandReply, RecipeMotionProblem)
     )]
     grip => motion::GRIP;
     /// Release a part
@@ -46,7 +46,7 @@ paths! {
         post, path = "/grippers/{gripper}/release", operation_id = "release", tag = "motion",
         params(GripperPath, WaitQuery, KeyHeaders),
         request_body = Release,
-        responses(CommandReply, DeviceProblem)
+        responses(CommandReply, RecipeMotionProblem)
     )]
     release => motion::RELEASE;
     /// Stop

@@ -3,6 +3,7 @@
 use utoipa::{IntoParams, IntoResponses};
 
 use crate::gripper::model::CommandReport;
+use crate::operations::statistics::MeasuredGrips;
 
 #[derive(IntoParams)]
 #[into_params(parameter_in = Path)]
@@ -41,12 +42,62 @@ pub struct WebhookPath {
 }
 
 #[derive(IntoParams)]
+#[into_params(parameter_in = Path)]
+#[allow(dead_code, reason = "only described here")]
+pub struct RecipePath {
+    /// Id of the part: at most 48 bytes in UTF-8.
+    #[param(min_length = 1, max_length = 48, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]+$", example = "A-1047")]
+    part_id: String,
+}
+
+#[derive(IntoParams)]
+#[into_params(parameter_in = Header)]
+#[allow(dead_code, reason = "only described here")]
+pub struct ConditionHeaders {
+    /// Version that the recipe must have, as in its `ETag`, or `*` for any; otherwise the request fails with 412.
+    #[param(
+        rename = "If-Match",
+        nullable = false,
+        min_length = 1,
+        max_length = 64,
+        pattern = "^(\\*|\"[0-9]{1,16}\")$"
+    )]
+    if_match: Option<String>,
+    /// `*` if there must be no recipe yet; otherwise the request fails with 412.
+    #[param(rename = "If-None-Match", nullable = false, min_length = 1, max_length = 64, pattern = "^\\*$")]
+    if_none_match: Option<String>,
+}
+
+#[derive(IntoParams)]
 #[into_params(parameter_in = Query)]
 #[allow(dead_code, reason = "only described here")]
 pub struct LatestQuery {
     /// Request id that this client sent with the command within the last 10 minutes.
     #[param(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$", example = "k3-17")]
     request_id: Option<String>,
+}
+
+#[derive(IntoParams)]
+#[into_params(parameter_in = Query)]
+#[allow(dead_code, reason = "only described here")]
+pub struct GripStatisticsQuery {
+    /// Only grips of this part. At most 48 bytes.
+    #[param(min_length = 1, max_length = 48, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]+$", example = "A-1047")]
+    part_id: Option<String>,
+    /// Only grips of this gripper.
+    #[param(max_length = 32, pattern = "^[a-z0-9][a-z0-9_-]{0,31}$", example = "left")]
+    gripper: Option<String>,
+    /// Only grips from this time on.
+    #[param(value_type = Option<String>, format = DateTime, example = "2026-11-21T09:00:00Z")]
+    from: Option<String>,
+    /// Only grips before this time.
+    #[param(value_type = Option<String>, format = DateTime, example = "2026-11-22T09:00:00Z")]
+    to: Option<String>,
+    /// Kind of the grips: `grip` (default), or `reference` for reference grips.
+    kind: Option<MeasuredGrips>,
+    /// Number of the part's newest grips; all by default. Needs `part_id`.
+    #[param(minimum = 1, maximum = 1_000_000)]
+    window: Option<u32>,
 }
 
 #[derive(IntoParams)]

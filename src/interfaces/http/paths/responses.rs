@@ -23,8 +23,13 @@ const PROBLEMS: &[(&str, &str, &str)] = &[
         "409",
         "Conflict",
         "`fast_stop`, `not_referenced`, `already_running`, `release_first`, `lease_held`, `stale_lease`, `stale_fast_stop`, \
-         `fast_stop_unconfirmed`, `request_id_reused`, `name_taken`, `invalid_configuration`: not possible in the current \
+         `fast_stop_unconfirmed`, `request_id_reused`, `name_taken`, `invalid_configuration`, `number_taken`: not possible in the current \
          state; the problem's members name the cause",
+    ),
+    (
+        "412",
+        "PreconditionFailed",
+        "`precondition_failed`: the recipe does not have the version that the request expects",
     ),
     ("413", "TooLarge", "`too_large`: the body is larger than `max` bytes"),
     (
@@ -77,6 +82,8 @@ sets! {
     AnyProblem ["400" "401" "403" "500"];
     /// Problems of operations that read the gateway's own knowledge of a gripper.
     GripperProblem ["400" "401" "403" "404" "422" "500"];
+    /// Problems of operations that change the gateway's own knowledge of a gripper.
+    KnowledgeProblem ["400" "401" "403" "404" "408" "413" "422" "500" "503"];
     /// Problems of operations that ask a gripper's actor about its commands.
     CommandProblem ["400" "401" "403" "404" "408" "413" "422" "429" "500" "503"];
     /// Problems of operations that request the lease.
@@ -87,12 +94,18 @@ sets! {
     ReloadProblem ["400" "401" "403" "408" "409" "413" "429" "500"];
     /// Problems of signing in and out.
     SessionProblem ["400" "401" "403" "404" "408" "413" "422" "500"];
+    /// Problems of changing recipes.
+    RecipeProblem ["400" "401" "403" "404" "408" "409" "412" "413" "422" "500" "503"];
+    /// Problems of copying recipes to another gateway.
+    CopyProblem ["400" "401" "403" "404" "408" "409" "412" "413" "422" "429" "500" "502" "503" "504"];
     /// Problems of opening a WebSocket.
     SocketProblem ["400" "401" "403" "429" "500"];
     /// Problems of reading the journal.
     JournalProblem ["400" "401" "403" "404" "422" "500" "503"];
     /// Problems of operations that send requests to the device.
     DeviceProblem ["400" "401" "403" "404" "408" "409" "413" "422" "429" "500" "502" "503" "504"];
+    /// Problems of motions that can follow a recipe.
+    RecipeMotionProblem ["400" "401" "403" "404" "408" "409" "412" "413" "422" "429" "500" "502" "503" "504"];
 }
 
 fn references(statuses: &[&str]) -> BTreeMap<String, RefOr<Response>> {

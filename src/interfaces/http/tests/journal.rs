@@ -25,6 +25,7 @@ fn record(number: u64, kind: Kind) -> GripRecord {
         width_mm: None,
         force_n: None,
         peak_force_n: None,
+        travel_mm: 0.0,
         contact_width_mm: None,
         time_to_contact_ms: None,
         samples: 0,
@@ -91,5 +92,5 @@ async fn lists_name_their_journal() {
     let table = gateway.send(request.header(header::ACCEPT, "text/csv").body(Body::empty()).unwrap()).await;
     assert_eq!(table.headers["journal-id"], id);
     assert_eq!(table.headers["next-cursor"], "1");
-    assert!(table.body.as_str().unwrap().ends_with(",wsg,4711,,,20.0,,,,,\n"), "{}", table.body);
+    assert!(table.body.as_str().unwrap().ends_with(",wsg,4711,,,20.0,,,,,,,,,0.0,\n"), "{}", table.body);
 }

@@ -16,7 +16,7 @@ async fn ended_command_is_200_with_its_outcome() {
     assert_eq!(answer.body["client"], "http:unknown");
     let Seen::Submission(submission) = gateway.seen.recv().await.unwrap() else { panic!() };
     assert_eq!(submission.request_id.unwrap().as_str(), "7");
-    let Action::Motion(Motion::Grip { width, speed, force, part_id }) = submission.action else { panic!() };
+    let Action::Motion(Motion::Grip { width, speed, force, part_id, .. }) = submission.action else { panic!() };
     assert_eq!((width.mm(), speed.mm_s(), force.unwrap().n()), (20.0, 50.5, 40.0));
     assert_eq!(part_id.unwrap().as_str(), "A-1");
 }

@@ -9,7 +9,7 @@ use tokio::task::JoinHandle;
 use super::*;
 use crate::gripper::fake::{self, FakeScript, Fate, Seen};
 use crate::gripper::model::GripperStatus;
-use crate::interfaces::admission::Class;
+use crate::interfaces::admission::{Bounds, Class};
 
 struct Server {
     address: SocketAddr,
@@ -218,6 +218,28 @@ async fn long_poll_beyond_the_bound_is_answered_at_once() {
         answer = answer(&mut first) => answer,
     };
     assert!(answer.contains("\r\nlocation: /api/v1/grippers/left/commands/"), "{answer}");
+}
+
+#[tokio::test]
+async fn evicted_connection_has_a_moment_for_a_fast_stop() {
+    let limits = ServerLimits::within(Bounds::of(64).with(Class::Incoming, 1));
+    let server = start(limits, FakeScript::default()).await;
+    let mut answered = 0;
+    // On a busy machine, the moment can pass before the request is sent.
+    for _ in 0..20 {
+        let mut evicted = server.connect().await;
+        // An answer shows that the server has admitted the second connection, which evicts the first.
+        let mut second = server.connect().await;
+        second.write_all(HEALTH).await.unwrap();
+        answer(&mut second).await;
+        let head =
+            "POST /api/v1/fast-stop HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nContent-Length: 0\r\n\r\n";
+        let mut answer = Vec::new();
+        let _ = evicted.write_all(head.as_bytes()).await;
+        let _ = evicted.read_to_end(&mut answer).await;
+        answered += u32::from(answer.starts_with(b"HTTP/1.1 200 OK\r\n"));
+    }
+    assert!(answered >= 10, "{answered} of 20 FAST STOPs were answered");
 }
 
 #[tokio::test]

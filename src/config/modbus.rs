@@ -1,0 +1,138 @@
+//! Settings of Modbus TCP, which serves all grippers.
+
+use std::collections::BTreeMap;
+use std::net::SocketAddr;
+use std::ops::RangeInclusive;
+use std::time::Duration;
+
+use ipnet::IpNet;
+
+use super::journal::bounded;
+use super::wsg_port::parse_nets;
+use super::{Config, ConfigError, ConfigPlace, File, Flags, GripperConfig, GripperContent, parse_address};
+use crate::gripper::model::Name;
+
+/// Default time between two changes of a client's heartbeat.
+const DEFAULT_HEARTBEAT: Duration = Duration::from_secs(1);
+
+/// Configurable times between two changes of a client's heartbeat, in ms.
+const HEARTBEATS_MS: RangeInclusive<u64> = 100..=60_000;
+
+/// Unit identifiers of grippers; 0 and 255 are the gateway.
+const UNITS: RangeInclusive<u8> = 1..=247;
+
+/// Settings of Modbus TCP.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Modbus {
+    pub address: SocketAddr,
+    /// Place of the address in the configuration.
+    pub place: ConfigPlace,
+    /// Networks that may connect; empty means known clients and this computer.
+    pub allow: Vec<IpNet>,
+    /// Longest time between two changes of a client's heartbeat.
+    pub heartbeat: Duration,
+}
+
+impl Modbus {
+    /// Merges the flag with the file. `None` if Modbus is off.
+    pub(super) fn merge(flags: &Flags, file: Option<&File>, is_exposed: bool) -> Result<Option<Self>, ConfigError> {
+        let content = file.map(|file| &file.content);
+        let in_file = file.and_then(|file| Some((file, file.content.modbus.as_ref()?)));
+        let (text, place) = match (&flags.modbus, in_file) {
+            (Some(text), _) => (text, ConfigPlace::Flag("--modbus")),
+            (None, Some((file, text))) => (text.get_ref(), file.place(text.span().start)),
+            (None, None) => return Ok(None),
+        };
+        let address = parse_address(text, "192.168.1.5:502", &place)?;
+        let allow = match file.and_then(|file| Some((file, file.content.modbus_allow.as_ref()?))) {
+            Some((file, texts)) => parse_nets("modbus_allow", texts.get_ref(), &file.place(texts.span().start))?,
+            None => Vec::new(),
+        };
+        let heartbeat_ms = content.and_then(|content| content.modbus_heartbeat_ms.as_ref());
+        let remedy = "leave it out for 1000";
+        let heartbeat_ms = bounded(file, "modbus_heartbeat_ms", heartbeat_ms, HEARTBEATS_MS, remedy)?;
+        let heartbeat = heartbeat_ms.map_or(DEFAULT_HEARTBEAT, Duration::from_millis);
+        if !address.ip().is_loopback() && allow.is_empty() && !is_exposed {
+            let detail = format!(
+                "{address} is not a loopback address, and Modbus has no credentials: any client that reaches it can move \
+                 the grippers. List the allowed networks in modbus_allow, name the clients in [[clients]] sections, or pass \
+                 --insecure if the network is yours alone"
+            );
+            return Err(ConfigError::at(&place, detail));
+        }
+        Ok(Some(Self { address, place, allow, heartbeat }))
+    }
+}
+
+/// Returns a gripper's unit identifier, if the file has one.
+pub(super) fn unit(file: &File, gripper: &GripperContent) -> Result<Option<u8>, ConfigError> {
+    let allowed = u64::from(*UNITS.start())..=u64::from(*UNITS.end());
+    let remedy = "leave it out to number the grippers by their names";
+    let unit = bounded(Some(file), "modbus_unit", gripper.modbus_unit.as_ref(), allowed, remedy)?;
+    Ok(unit.and_then(|unit| u8::try_from(unit).ok()))
+}
+
+/// Returns the conflict if two grippers have the same unit identifier.
+pub(super) fn conflict(one: &GripperConfig, other: &GripperConfig) -> Option<String> {
+    let unit = one.modbus_unit.filter(|unit| Some(*unit) == other.modbus_unit)?;
+    Some(format!("{} and {} both have modbus_unit {unit}: give each its own", one.name, other.name))
+}
+
+impl Config {
+    /// Returns the grippers by their unit identifiers. Grippers without one in the file get the free ones, in the order of
+    /// their names.
+    #[must_use]
+    pub fn modbus_units(&self) -> BTreeMap<u8, Name> {
+        let given = self.grippers.iter().filter_map(|gripper| Some((gripper.modbus_unit?, gripper.name.clone())));
+        let mut units: BTreeMap<u8, Name> = given.collect();
+        let mut others: Vec<_> = self.grippers.iter().filter(|gripper| gripper.modbus_unit.is_none()).collect();
+        others.sort_by_key(|gripper| &gripper.name);
+        let free: Vec<u8> = UNITS.filter(|unit| !units.contains_key(unit)).collect();
+        units.extend(free.into_iter().zip(others.into_iter().map(|gripper| gripper.name.clone())));
+        units
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    fn config(text: &str) -> Result<Config, String> {
+        let file = File::parse(Path::new("f.toml"), text.to_owned()).unwrap();
+        Config::merge(&Flags::default(), Some(&file)).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn modbus_is_off_by_default() {
+        assert_eq!(config("").unwrap().modbus, None);
+        let flags = Flags { modbus: Some("127.0.0.1:5020".to_owned()), ..Flags::default() };
+        let modbus = Config::load(&flags).unwrap().modbus.unwrap();
+        assert_eq!((modbus.address.port(), modbus.heartbeat), (5020, DEFAULT_HEARTBEAT));
+    }
+
+    #[test]
+    fn open_address_needs_a_list_of_clients() {
+        let open = config("modbus = \"0.0.0.0:502\"").unwrap_err();
+        assert!(open.starts_with("f.toml:1: ") && open.contains("modbus_allow"), "{open}");
+        let listed = config("modbus = \"0.0.0.0:502\"\nmodbus_allow = [\"10.0.0.0/24\"]\nmodbus_heartbeat_ms = 250");
+        let modbus = listed.unwrap().modbus.unwrap();
+        assert_eq!((modbus.allow.len(), modbus.heartbeat), (1, Duration::from_millis(250)));
+        for wrong in ["modbus = \"here\"", "modbus = \"127.0.0.1:0\"\nmodbus_heartbeat_ms = 50"] {
+            assert!(config(wrong).unwrap_err().contains("modbus") || config(wrong).unwrap_err().contains("here"));
+        }
+    }
+
+    #[test]
+    fn grippers_without_a_unit_get_the_free_ones() {
+        let grippers = "[grippers.c]\nurl = \"sim://wsg50\"\n[grippers.a]\nurl = \"sim://wsg50\"\n[grippers.b]\nurl = \
+                        \"sim://wsg50\"\nmodbus_unit = 1";
+        let units = config(grippers).unwrap().modbus_units();
+        let units: Vec<_> = units.iter().map(|(unit, name)| (*unit, name.as_str())).collect();
+        assert_eq!(units, [(1, "b"), (2, "a"), (3, "c")]);
+        let twice = format!("{grippers}\n[grippers.d]\nurl = \"sim://wsg50\"\nmodbus_unit = 1");
+        assert!(config(&twice).unwrap_err().contains("modbus_unit 1"));
+        assert!(config("[grippers.a]\nurl = \"sim://wsg50\"\nmodbus_unit = 248").unwrap_err().contains("247"));
+    }
+}

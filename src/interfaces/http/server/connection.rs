@@ -1,0 +1,220 @@
+//! A connection that hyper serves: its requests, its runtime and its end.
+
+use std::convert::Infallible;
+use std::net::SocketAddr;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use axum::Router;
+use axum::body::Body;
+use axum::http::header::{ORIGIN, STRICT_TRANSPORT_SECURITY};
+use axum::http::{HeaderName, HeaderValue, Request, StatusCode};
+use axum::response::Response;
+use futures_util::future::{BoxFuture, FutureExt as _, TryFutureExt as _};
+use hyper::body::{Body as _, Incoming};
+use hyper::server::conn::http1;
+use hyper::service::Service;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use tokio::runtime::Handle;
+use tokio::sync::watch;
+use tokio::time::timeout;
+use tokio_util::sync::CancellationToken;
+use tower::ServiceExt;
+
+use super::super::context::HttpContext;
+use super::super::fast_stop::is_fast_stop;
+use super::super::handshakes::Handshakes;
+use super::super::home::Home;
+use super::super::operation::Compact;
+use super::super::settings::HttpSettings;
+use super::super::visitor::{Identified, cookie_name};
+use super::inspection::Begun;
+use crate::access::ClientOrigin;
+use crate::interfaces::admission::{Admission, Bounds, ConnectionPermit};
+use crate::interfaces::client_stream::ClientStream;
+use crate::interfaces::metrics::Connected;
+use crate::interfaces::pace::RequestPace;
+
+const KEEP_ALIVE: HeaderName = HeaderName::from_static("keep-alive");
+
+/// Maximum size of all headers of a request. This API needs some hundred bytes; browsers add a few thousand.
+const MAX_HEADER_BYTES: usize = 16 * 1024;
+
+/// Bytes that hyper buffers for a connection in each direction, apart from the bodies.
+const MAX_BUFFER_BYTES: usize = 32 * 1024;
+
+/// Tells browsers to use only TLS for a year (RFC 6797). They ignore it where they do not trust the certificate.
+const ONLY_TLS: HeaderValue = HeaderValue::from_static("max-age=31536000");
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ServerLimits {
+    /// Maximum number of concurrent connections, by class.
+    pub bounds: Bounds,
+    /// Time that running requests get to finish after a shutdown began.
+    pub shutdown_time: Duration,
+}
+
+impl ServerLimits {
+    /// Returns the default times with these bounds.
+    #[must_use]
+    pub fn within(bounds: Bounds) -> Self {
+        // The grippers get 2 s to end their motions, and the responses must still be sent after that.
+        Self { bounds, shutdown_time: Duration::from_secs(3) }
+    }
+}
+
+impl Default for ServerLimits {
+    fn default() -> Self {
+        Self::within(Bounds::of(Bounds::MAX_DESCRIPTORS))
+    }
+}
+
+/// State shared by all connections of a server.
+pub(super) struct Server {
+    pub(super) router: Router,
+    pub(super) context: Arc<HttpContext>,
+    pub(super) admission: Arc<Admission>,
+    pub(super) limits: ServerLimits,
+    pub(super) handshakes: Handshakes,
+    pub(super) closing: CancellationToken,
+}
+
+impl Server {
+    /// Serves a connection on the matching runtime.
+    pub(super) fn serve(
+        self: Arc<Self>,
+        begun: Begun,
+        peer: SocketAddr,
+        permit: Arc<ConnectionPermit>,
+        connected: Connected,
+    ) {
+        let Begun { stream, certificate, is_fast_stop } = begun;
+        let runtimes = &self.context.runtimes;
+        let runtime = if is_fast_stop { runtimes.accept.clone() } else { runtimes.requests.clone() };
+        let (moves, home) = watch::channel(runtime.clone());
+        let service = Requests {
+            server: self.clone(),
+            origin: ClientOrigin { certificate, ..peer.ip().into() },
+            permit: permit.clone(),
+            home: Home::new(moves),
+            pace: Arc::default(),
+            has_served: Arc::default(),
+        };
+        let http = http1::Builder::new()
+            .timer(TokioTimer::new())
+            // The router adds the date, except to compact responses.
+            .auto_date_header(false)
+            .header_read_timeout(self.context.settings.get().idle_time)
+            .max_header_size(MAX_HEADER_BYTES)
+            .max_buf_size(MAX_BUFFER_BYTES)
+            .serve_connection(TokioIo::new(stream), service)
+            .with_upgrades();
+        let http = Box::pin(http);
+        let connection = Connection { server: self, peer, permit, is_fast_stop, http, home, _connected: connected };
+        drop(runtime.spawn(connection.run()));
+    }
+}
+
+/// A connection served by hyper, on one runtime at a time.
+struct Connection {
+    server: Arc<Server>,
+    peer: SocketAddr,
+    permit: Arc<ConnectionPermit>,
+    /// Whether the connection began with a FAST STOP.
+    is_fast_stop: bool,
+    http: Pin<Box<http1::UpgradeableConnection<TokioIo<ClientStream>, Requests>>>,
+    home: watch::Receiver<Handle>,
+    _connected: Connected,
+}
+
+impl Connection {
+    /// Serves the connection until it ends or moves to another runtime.
+    fn run(mut self) -> BoxFuture<'static, ()> {
+        let run = async move {
+            let ended = tokio::select! {
+                biased;
+                ended = self.http.as_mut() => ended,
+                () = self.permit.evicted() => self.leave().await,
+                Ok(()) = self.home.changed() => {
+                    let home = self.home.borrow_and_update().clone();
+                    drop(home.spawn(self.run()));
+                    return;
+                }
+            };
+            if let Err(error) = ended {
+                tracing::debug!(peer = %self.peer, %error, "connection ended");
+            }
+        };
+        run.boxed()
+    }
+
+    /// Ends the connection: at once if it has no request, else after the response.
+    async fn leave(&mut self) -> hyper::Result<()> {
+        let limit = if self.server.closing.is_cancelled() {
+            self.server.limits.shutdown_time
+        } else if self.is_fast_stop {
+            self.permit.linger_for_fast_stop()
+        } else if !self.permit.is_unused() {
+            self.permit.linger()
+        } else {
+            return Ok(());
+        };
+        if !self.permit.is_unused() || !self.is_fast_stop {
+            self.http.as_mut().graceful_shutdown();
+        }
+        timeout(limit, self.http.as_mut()).await.unwrap_or(Ok(()))
+    }
+}
+
+#[derive(Clone)]
+struct Requests {
+    server: Arc<Server>,
+    origin: ClientOrigin,
+    permit: Arc<ConnectionPermit>,
+    home: Home,
+    pace: Arc<RequestPace>,
+    /// Whether a request has arrived.
+    has_served: Arc<AtomicBool>,
+}
+
+impl Service<Request<Incoming>> for Requests {
+    type Response = Response;
+    type Error = Infallible;
+    type Future = BoxFuture<'static, Result<Response, Infallible>>;
+
+    fn call(&self, mut request: Request<Incoming>) -> Self::Future {
+        // A connection that continues after its first FAST STOP is treated like all others.
+        if self.has_served.swap(true, Ordering::Relaxed) || !is_fast_stop(&request) {
+            self.home.leave(&self.server.context.runtimes.accept, &self.server.context.runtimes.requests);
+        }
+        if !request.body().is_end_stream() {
+            self.permit.receiving();
+        }
+        let (settings, access) = (self.server.context.settings.get(), &self.server.context.gateway.access);
+        // Pages of other origins have no session here.
+        let is_foreign = request.headers().get_all(ORIGIN).iter().any(|origin| settings.allows_origin(origin));
+        let cookie = (!is_foreign).then(|| cookie_name(settings.tls.is_some()));
+        let identified = Identified::of(access, request.headers(), self.origin.clone(), cookie);
+        let extensions = request.extensions_mut();
+        extensions.insert(identified);
+        extensions.insert(self.permit.clone());
+        extensions.insert(self.home.clone());
+        extensions.insert(self.pace.clone());
+        let response = self.server.router.clone().oneshot(request.map(Body::new));
+        response.map_ok(move |response| with_headers(response, &settings)).boxed()
+    }
+}
+
+/// Tells the client how long an idle connection stays open, and browsers to use only TLS.
+fn with_headers(mut response: Response, settings: &HttpSettings) -> Response {
+    let is_switched = response.status() == StatusCode::SWITCHING_PROTOCOLS;
+    if !is_switched && response.extensions().get::<Compact>().is_none() {
+        response.headers_mut().insert(KEEP_ALIVE, settings.keep_alive());
+        if settings.tls.is_some() {
+            response.headers_mut().insert(STRICT_TRANSPORT_SECURITY, ONLY_TLS);
+        }
+    }
+    response
+}

@@ -1,0 +1,81 @@
+//! The listener.
+
+use std::io;
+use std::net::SocketAddr;
+use std::sync::Arc;
+
+use socket2::SockRef;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::watch;
+use tokio_util::sync::CancellationToken;
+
+use super::connection::ModbusConnection;
+use super::context::{ModbusContext, ModbusSettings, NewestSettings};
+use crate::gripper::model::Door;
+use crate::interfaces::accept;
+use crate::interfaces::admission::{Admission, Bounds};
+use crate::interfaces::sockets;
+
+/// Maximum number of descriptors: for 64 clients, and as many that have just connected or are ending.
+pub const MAX_DESCRIPTORS: usize = 128;
+
+/// Listens on an address.
+///
+/// # Errors
+/// The operating system's error.
+pub fn listen(address: SocketAddr) -> io::Result<std::net::TcpListener> {
+    let listener = std::net::TcpListener::bind(address)?;
+    listener.set_nonblocking(true)?;
+    Ok(listener)
+}
+
+/// Accepts clients until `draining`, and serves them until `closing`. They use this many descriptors at most.
+///
+/// # Errors
+/// The operating system's error if the listener cannot be registered.
+pub async fn serve(
+    context: Arc<ModbusContext>,
+    (listener, descriptors): (std::net::TcpListener, usize),
+    settings: watch::Receiver<Arc<ModbusSettings>>,
+    (draining, closing): (CancellationToken, CancellationToken),
+) -> io::Result<()> {
+    let (listener, settings) = (TcpListener::from_std(listener)?, NewestSettings::of(settings));
+    let admission = Admission::new(Bounds::alike(descriptors.min(MAX_DESCRIPTORS)));
+    let admit = |stream, peer| {
+        admit(&context, &settings, &admission, stream, peer).map(|connection| connection.run(closing.clone()))
+    };
+    let mut clients = accept::each(&listener, &admission, &draining, admit).await;
+    drop(listener);
+    while clients.join_next().await.is_some() {}
+    Ok(())
+}
+
+fn admit(
+    context: &Arc<ModbusContext>,
+    settings: &NewestSettings,
+    admission: &Arc<Admission>,
+    stream: TcpStream,
+    peer: SocketAddr,
+) -> Option<ModbusConnection> {
+    let peers = &settings.now().peers;
+    if !peers.allows(peer.ip()) {
+        tracing::warn!(%peer, "Modbus connection refused: add the address to modbus_allow or to a clients section");
+        return None;
+    }
+    if let Err(error) = prepare(&stream) {
+        // The connection has just ended.
+        tracing::debug!(%peer, %error, "Modbus connection refused: socket options could not be set");
+        return None;
+    }
+    let client = peers.client(peer.ip(), "modbus", Door::Modbus);
+    tracing::info!(%peer, client = %client.subject, "Modbus client connected");
+    // Clients have their own shutdown signal.
+    let permit = Arc::new(admission.admit(peer.ip(), &CancellationToken::new()));
+    Some(ModbusConnection::new(context.clone(), settings.clone(), (client, peer.ip()), permit, stream))
+}
+
+/// Sends answers at once, and detects a vanished peer even while an answer is in flight to it.
+fn prepare(stream: &TcpStream) -> io::Result<()> {
+    sockets::prepare(stream)?;
+    SockRef::from(stream).set_tcp_user_timeout(Some(sockets::LOST_AFTER))
+}

@@ -1,0 +1,31 @@
+//! Changes of the gateway's own data, which are answered once they are durable.
+
+use std::time::Duration;
+
+use tokio::sync::oneshot;
+use tokio::time::timeout;
+
+use super::call::Call;
+use super::problem::Problem;
+use crate::gripper::model::Code;
+use crate::gripper::recorder::Recorder as _;
+
+/// Time limit for a change to become durable. A disk that hangs would otherwise hold requests forever.
+const DURABLE_WITHIN: Duration = Duration::from_secs(2);
+
+/// Refuses a change that would not become durable. `unchanged` says what was not changed.
+pub(super) fn check_journal(call: &Call, unchanged: &str) -> Result<(), Problem> {
+    let failure = call.gateway.journal.health().borrow().failure.clone();
+    let down = |cause| Problem::new(Code::JournalDown, format!("journal unavailable ({cause}): {unchanged}"));
+    failure.map_or(Ok(()), |cause| Err(down(cause)))
+}
+
+/// Waits until a change is durable.
+pub(super) async fn durable(change: oneshot::Receiver<()>) -> Result<(), Problem> {
+    if let Ok(Ok(())) = timeout(DURABLE_WITHIN, change).await {
+        return Ok(());
+    }
+    let detail = "journal unavailable: the change is in effect but not saved; it is lost if the gateway restarts before the \
+                  journal recovers";
+    Err(Problem::new(Code::JournalDown, detail))
+}

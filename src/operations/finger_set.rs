@@ -1,0 +1,130 @@
+//! The finger set that is mounted on a gripper. The device does not know it, so a person or an MES names it.
+
+use http::Method as Verb;
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+use utoipa::openapi::schema::OneOfBuilder;
+
+use super::call::{Call, NoFields};
+use super::durable::{check_journal, durable};
+use super::operation::{Operation, ready, reply};
+use super::problem::Problem;
+use super::reply::Json;
+use super::values::{TextOrNumber, integer, part_id, required_text_or_number};
+use crate::gripper::model::Name;
+use crate::wear::{FingerSet, MountRequest};
+
+const PATH: &str = "/grippers/{gripper}/finger-set";
+
+pub const GET: Operation = Operation::read("finger-set", PATH, |call| ready(get(&call)));
+pub const SET: Operation = Operation::change("finger-set.set", &Verb::PUT, PATH, |call| reply(set(call)));
+
+/// Greatest number of grips before a maintenance.
+const MAX_CYCLES: u64 = 1_000_000_000;
+/// Smallest and greatest distance before a maintenance, in m.
+const MIN_TRAVEL_M: f64 = 0.001;
+const MAX_TRAVEL_M: f64 = 1e9;
+
+/// The finger set of a gripper. All fields except `gripper` are null if no finger set is known.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({
+    "gripper": "left", "id": "F-12", "mounted_at": "2026-11-21T09:00:00.250Z", "mounted_by": "http:127.0.0.1",
+    "cycles": 1520, "travel_m": 91.4, "maintenance_cycles": 100_000, "maintenance_travel_m": null,
+    "maintenance_due": false
+}))]
+pub struct FingerSetAnswer {
+    /// The gripper's name.
+    #[schema(value_type = String, max_length = 32)]
+    gripper: Name,
+    /// Id of the finger set.
+    #[schema(required, max_length = 48)]
+    id: Option<String>,
+    /// Time from which the use of the set is counted.
+    #[serde(serialize_with = "crate::gripper::model::time::milliseconds_or_null")]
+    #[schema(value_type = Option<String>, required, format = DateTime)]
+    mounted_at: Option<Timestamp>,
+    /// Subject of the client that mounted the set or reset its counts.
+    #[schema(required)]
+    mounted_by: Option<String>,
+    /// Number of grips since `mounted_at`, reference grips included, whatever their outcome.
+    #[schema(required, minimum = 0, maximum = 9_007_199_254_740_991_i64)]
+    cycles: Option<u64>,
+    /// Distance that the fingers moved relative to each other since `mounted_at`, in m.
+    #[schema(required, minimum = 0)]
+    travel_m: Option<f64>,
+    /// Number of grips after which the set needs maintenance; null if there is no such limit.
+    #[schema(required, minimum = 1, maximum = 1_000_000_000)]
+    maintenance_cycles: Option<u64>,
+    /// Distance after which the set needs maintenance, in m; null if there is no such limit.
+    #[schema(required, minimum = 0.001, maximum = 1_000_000_000)]
+    maintenance_travel_m: Option<f64>,
+    /// Whether `maintenance_cycles` or `maintenance_travel_m` is reached.
+    #[schema(required)]
+    maintenance_due: Option<bool>,
+}
+
+impl FingerSetAnswer {
+    fn of(gripper: &Name, set: Option<&FingerSet>) -> Self {
+        Self {
+            gripper: gripper.clone(),
+            id: set.map(|set| set.id.as_str().to_owned()),
+            mounted_at: set.map(|set| set.mounted_at),
+            mounted_by: set.map(|set| set.mounted_by.to_string()),
+            cycles: set.map(|set| set.cycles),
+            travel_m: set.map(|set| set.travel_mm.round() / 1000.0),
+            maintenance_cycles: set.and_then(|set| set.maintenance_cycles),
+            maintenance_travel_m: set.and_then(|set| set.maintenance_travel_m),
+            maintenance_due: set.map(FingerSet::is_maintenance_due),
+        }
+    }
+}
+
+fn id_schema() -> OneOfBuilder {
+    required_text_or_number(48, "Id of the finger set: 1 to 48 bytes, or a whole number, which is stored as text.")
+}
+
+/// The finger set that is mounted, with its maintenance limits.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(example = json!({"id": "F-12", "maintenance_cycles": 100_000}))]
+pub struct SetFingerSet {
+    #[schema(schema_with = id_schema, required)]
+    id: TextOrNumber,
+    /// Number of grips after which the set needs maintenance; if absent, there is no such limit.
+    #[schema(value_type = Option<u64>, minimum = 1, maximum = 1_000_000_000)]
+    maintenance_cycles: Option<f64>,
+    /// Distance after which the set needs maintenance, in m; if absent, there is no such limit.
+    #[schema(minimum = 0.001, maximum = 1_000_000_000)]
+    maintenance_travel_m: Option<f64>,
+    /// Whether to count from zero although this set is already mounted, e.g. after maintenance.
+    #[serde(default)]
+    #[schema(default = false)]
+    reset: bool,
+}
+
+fn get(call: &Call) -> Result<Json<FingerSetAnswer>, Problem> {
+    let (gripper, NoFields {}) = call.open()?;
+    let name = gripper.handle.name();
+    Ok(Json(FingerSetAnswer::of(name, call.gateway.wear.finger_set(name).as_ref())))
+}
+
+async fn set(call: Call) -> Result<Json<FingerSetAnswer>, Problem> {
+    let (gripper, SetFingerSet { id, maintenance_cycles, maintenance_travel_m, reset }) = call.open()?;
+    let cycles = |cycles| integer("maintenance_cycles", cycles, 1..=MAX_CYCLES);
+    let is_wrong = |travel_m: &f64| !(MIN_TRAVEL_M..=MAX_TRAVEL_M).contains(travel_m);
+    if let Some(travel_m) = maintenance_travel_m.filter(is_wrong) {
+        return Err(Problem::out_of_range("maintenance_travel_m", travel_m, MIN_TRAVEL_M, MAX_TRAVEL_M));
+    }
+    let mounted = MountRequest {
+        id: part_id("id", &id.to_string())?,
+        maintenance_cycles: maintenance_cycles.map(cycles).transpose()?,
+        maintenance_travel_m,
+        reset,
+    };
+    let name = gripper.handle.name();
+    check_journal(&call, "the finger set was not changed")?;
+    let (set, change) = call.gateway.wear.mount(name, mounted, &call.caller.client);
+    durable(change).await?;
+    Ok(Json(FingerSetAnswer::of(name, Some(&set))))
+}

@@ -1,0 +1,225 @@
+//! Statistics of grips: how often they hold a part, how the figures spread, and how well they fit the recipe's limits.
+
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use super::call::Call;
+use super::operation::{Operation, reply};
+use super::problem::Problem;
+use super::reply::Json;
+use super::values::{TextOrNumber, gripper_or_gateway, integer, part_id};
+use crate::gripper::model::{Kind, Outcome, PartId};
+use crate::journal::{Distribution, GripStatistics, StatisticsQuery};
+
+pub const STATISTICS: Operation =
+    Operation::read("grips.statistics", "/grips/statistics", |call| reply(statistics(call)))
+        .queried(&["part_id", "gripper", "kind", "from", "to", "window"]);
+
+/// Greatest number of grips that a request can name.
+const MAX_WINDOW: u64 = 1_000_000;
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct StatisticsFields {
+    part_id: Option<TextOrNumber>,
+    gripper: Option<String>,
+    from: Option<String>,
+    to: Option<String>,
+    window: Option<TextOrNumber>,
+    #[serde(default)]
+    kind: MeasuredGrips,
+}
+
+/// Kind of measured grips.
+///
+/// - `grip`: grips of parts
+/// - `reference`: reference grips, on gauges
+#[derive(Debug, Clone, Copy, Default, Deserialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum MeasuredGrips {
+    #[default]
+    Grip,
+    Reference,
+}
+
+/// Statistics of grips.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({
+    "count": 3, "outcomes": [{"outcome": "NO_PART", "count": 1, "rate": 0.333}, {"outcome": "PART_HELD", "count": 2, "rate": 0.667}],
+    "first_at": "2026-11-21T09:00:00.000Z", "last_at": "2026-11-21T09:05:00.000Z",
+    "contact_width_mm": {"count": 2, "mean": 20.0, "standard_deviation": 0.05, "min": 19.96, "max": 20.04},
+    "force_n": {"count": 2, "mean": 40.0, "standard_deviation": 0.0, "min": 40.0, "max": 40.0},
+    "time_to_contact_ms": {"count": 2, "mean": 300.0, "standard_deviation": 2.0, "min": 298.0, "max": 302.0},
+    "moving_average_mm": 20.01, "accept_min_mm": 19.5, "accept_max_mm": 20.5, "recipe_version": 3, "cpk": 3.3
+}))]
+pub struct StatisticsOfGrips {
+    /// Number of grips.
+    count: u64,
+    /// Grips by outcome; outcomes without grips are left out.
+    outcomes: Vec<OutcomeShare>,
+    /// Time of the oldest grip; null without grips.
+    #[schema(value_type = Option<String>, required, format = DateTime)]
+    first_at: Option<Timestamp>,
+    /// Time of the newest grip; null without grips.
+    #[schema(value_type = Option<String>, required, format = DateTime)]
+    last_at: Option<Timestamp>,
+    /// Contact widths of the grips with a part (`PART_HELD` and `WRONG_PART`), in mm.
+    contact_width_mm: Spread,
+    /// Gripping forces at the ends of these grips, in N.
+    force_n: Spread,
+    /// Times to contact of these grips, in ms.
+    time_to_contact_ms: Spread,
+    /// Exponentially weighted moving average of the contact widths, in mm; each new value weighs 0.2. Null without a
+    /// `part_id`.
+    #[schema(required)]
+    moving_average_mm: Option<f64>,
+    /// Smallest accepted contact width in the part's recipe, in mm; null if there is none.
+    #[schema(required)]
+    accept_min_mm: Option<f64>,
+    /// Largest accepted contact width in the part's recipe, in mm; null if there is none.
+    #[schema(required)]
+    accept_max_mm: Option<f64>,
+    /// Version of that recipe; null if the part has no recipe.
+    #[schema(required)]
+    recipe_version: Option<u64>,
+    /// Process capability Cpk: distance of the mean from the nearer limit, in units of three standard deviations. Null
+    /// without a limit or a spread.
+    #[schema(required)]
+    cpk: Option<f64>,
+}
+
+/// Number and share of the grips with an outcome.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct OutcomeShare {
+    #[schema(value_type = Outcome)]
+    outcome: &'static str,
+    /// Number of grips.
+    #[schema(minimum = 0)]
+    count: u64,
+    /// Share of all grips, from 0 to 1.
+    #[schema(minimum = 0, maximum = 1)]
+    rate: f64,
+}
+
+/// Spread of a figure.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct Spread {
+    /// Number of grips that have the figure.
+    #[schema(minimum = 0)]
+    count: u64,
+    /// Mean; null without grips.
+    #[schema(required)]
+    mean: Option<f64>,
+    /// Standard deviation of a sample; null with fewer than two grips.
+    #[schema(required)]
+    standard_deviation: Option<f64>,
+    /// Smallest value; null without grips.
+    #[schema(required)]
+    min: Option<f64>,
+    /// Greatest value; null without grips.
+    #[schema(required)]
+    max: Option<f64>,
+}
+
+impl From<Distribution> for Spread {
+    fn from(distribution: Distribution) -> Self {
+        let (min, max) = distribution.range().unzip();
+        Self {
+            count: distribution.count,
+            mean: distribution.mean(),
+            standard_deviation: distribution.standard_deviation(),
+            min,
+            max,
+        }
+    }
+}
+
+async fn statistics(call: Call) -> Result<Json<StatisticsOfGrips>, Problem> {
+    let query = query(call.fields()?)?;
+    let statistics = call.gateway.journal.statistics(query.clone()).await?;
+    Ok(Json(report(&call, &query, &statistics)))
+}
+
+fn query(fields: StatisticsFields) -> Result<StatisticsQuery, Problem> {
+    let part_id: Option<PartId> = fields.part_id.map(|given| part_id("part_id", &given.to_string())).transpose()?;
+    let gripper = fields.gripper.map(|given| gripper_or_gateway("gripper", &given));
+    let window = fields.window.map(|given| {
+        let wrong = || Problem::malformed("window", "window must be a number of grips");
+        integer("window", given.to_string().parse().map_err(|_| wrong())?, 1..=MAX_WINDOW)
+    });
+    let window = window.transpose()?;
+    if window.is_some() && part_id.is_none() {
+        return Err(Problem::malformed("window", "window needs a part_id: only the grips of one part are in order"));
+    }
+    Ok(StatisticsQuery {
+        part_id,
+        gripper: gripper.transpose()?,
+        kind: match fields.kind {
+            MeasuredGrips::Grip => Kind::Grip,
+            MeasuredGrips::Reference => Kind::Reference,
+        },
+        from: time("from", fields.from.as_deref())?,
+        to: time("to", fields.to.as_deref())?,
+        window: window.and_then(|window| u32::try_from(window).ok()),
+    })
+}
+
+fn time(field: &str, given: Option<&str>) -> Result<Option<Timestamp>, Problem> {
+    let wrong = |text: &str| {
+        Problem::malformed(field, format!("{field} must be a time like 2026-11-21T09:00:00Z (RFC 3339)"))
+            .value(Some(text.into()))
+    };
+    given.map(|text| text.parse().map_err(|_| wrong(text))).transpose()
+}
+
+fn report(call: &Call, query: &StatisticsQuery, statistics: &GripStatistics) -> StatisticsOfGrips {
+    let count = statistics.count();
+    let share = |(outcome, number): (&&'static str, &u64)| OutcomeShare {
+        outcome,
+        count: *number,
+        rate: *number as f64 / count as f64,
+    };
+    let recipe = query.part_id.as_ref().and_then(|part_id| call.gateway.recipes.of_part(part_id));
+    let values = recipe.as_ref().map(|version| match &query.gripper {
+        Some(gripper) => version.recipe.values_for(gripper),
+        None => version.recipe.values,
+    });
+    let values = values.unwrap_or_default();
+    let at = |ms: i64| Timestamp::from_millisecond(ms).ok();
+    StatisticsOfGrips {
+        count,
+        outcomes: statistics.outcomes.iter().map(share).collect(),
+        first_at: statistics.times.and_then(|(oldest, _)| at(oldest)),
+        last_at: statistics.times.and_then(|(_, newest)| at(newest)),
+        cpk: cpk(&statistics.contact_width_mm, values.accept_min_mm, values.accept_max_mm),
+        contact_width_mm: statistics.contact_width_mm.into(),
+        force_n: statistics.force_n.into(),
+        time_to_contact_ms: statistics.time_to_contact_ms.into(),
+        moving_average_mm: statistics.moving_average_mm,
+        accept_min_mm: values.accept_min_mm,
+        accept_max_mm: values.accept_max_mm,
+        recipe_version: recipe.map(|version| version.version),
+    }
+}
+
+fn cpk(widths: &Distribution, min: Option<f64>, max: Option<f64>) -> Option<f64> {
+    let (mean, deviation) = (widths.mean()?, widths.standard_deviation().filter(|deviation| *deviation > 0.0)?);
+    let distances = [min.map(|min| mean - min), max.map(|max| max - mean)];
+    distances.into_iter().flatten().reduce(f64::min).map(|distance| distance / (3.0 * deviation))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cpk_counts_the_nearer_limit() {
+        let widths: Distribution = [19.0, 20.0, 21.0].into_iter().collect();
+        assert_eq!(cpk(&widths, Some(17.0), Some(21.5)), Some(0.5));
+        assert_eq!(cpk(&widths, Some(17.0), None), Some(1.0));
+        assert_eq!(cpk(&widths, None, None), None);
+        let without_spread: Distribution = [20.0, 20.0].into_iter().collect();
+        assert_eq!(cpk(&without_spread, Some(17.0), None), None);
+    }
+}

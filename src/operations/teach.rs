@@ -1,0 +1,103 @@
+//! Proposed limits of a recipe: the contact widths of the part's last grips.
+
+use http::Method as Verb;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use super::call::Call;
+use super::operation::{Operation, reply};
+use super::problem::Problem;
+use super::reply::Json;
+use super::values::{gripper_or_gateway, integer};
+use crate::access::Right;
+use crate::gripper::limits::WIDEST_MM;
+use crate::gripper::model::{Code, Kind, Outcome};
+use crate::journal::{Distribution, Filter, GripQuery, Limit};
+
+pub const TEACH: Operation =
+    Operation::change("recipe.teach", &Verb::POST, "/recipes/{part_id}/teach", |call| reply(teach(call)))
+        .needs(Right::Read);
+
+/// Grips that are read by default.
+const DEFAULT_LAST: f64 = 50.0;
+/// Standard deviations between the mean and a limit by default.
+const DEFAULT_K: f64 = 3.0;
+const MAX_K: f64 = 10.0;
+
+/// Smallest distance between the mean and a limit. Equal widths have no spread, and no part meets such limits again.
+const RESOLUTION_MM: f64 = 0.01;
+
+/// Request for proposed limits.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(example = json!({"last": 50, "k": 3.0}))]
+pub struct Teach {
+    /// Number of the part's newest grips with outcome `PART_HELD` to use; 50 by default.
+    #[schema(value_type = Option<u64>, minimum = 2, maximum = 1000)]
+    last: Option<f64>,
+    /// Number of standard deviations between the mean and a limit; 3 by default.
+    #[schema(minimum = 0, maximum = 10)]
+    k: Option<f64>,
+    /// Only grips of this gripper, for values of its own in the recipe.
+    #[schema(max_length = 32, pattern = "^[a-z0-9][a-z0-9_-]{0,31}$")]
+    gripper: Option<String>,
+}
+
+/// Proposed limits, and the grips that they come from. The recipe is not changed.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({
+    "count": 50, "mean_mm": 20.01, "standard_deviation_mm": 0.05, "accept_min_mm": 19.86, "accept_max_mm": 20.16
+}))]
+pub struct ProposedLimits {
+    /// Number of grips with a contact width.
+    #[schema(minimum = 2, maximum = 1000)]
+    count: u64,
+    /// Mean contact width, in mm.
+    mean_mm: f64,
+    /// Standard deviation of the contact widths (of a sample), in mm.
+    standard_deviation_mm: f64,
+    /// Proposed smallest contact width of the right part, in mm.
+    accept_min_mm: f64,
+    /// Proposed largest contact width of the right part, in mm.
+    accept_max_mm: f64,
+}
+
+/// A grip record.
+#[derive(Deserialize)]
+struct GripWidth {
+    contact_width_mm: Option<f64>,
+}
+
+async fn teach(call: Call) -> Result<Json<ProposedLimits>, Problem> {
+    let (part_id, Teach { last, k, gripper }) = (call.part_id()?, call.fields()?);
+    let gripper = gripper.map(|name| gripper_or_gateway("gripper", &name)).transpose()?;
+    let last = integer("last", last.unwrap_or(DEFAULT_LAST), 2..=1000)?;
+    let k = k.unwrap_or(DEFAULT_K);
+    if !(0.0..=MAX_K).contains(&k) {
+        return Err(Problem::out_of_range("k", k, 0.0, MAX_K));
+    }
+    let filter = Filter {
+        gripper,
+        part_id: Some(part_id),
+        kind: Some(Kind::Grip),
+        outcome: Some(Outcome::PartHeld),
+        ..Filter::default()
+    };
+    let limit = Limit::new(last).unwrap_or_default();
+    let page = call.gateway.journal.grips(GripQuery { filter, limit, ..GripQuery::default() }).await?;
+    let width = |body: &_| serde_json::from_str::<GripWidth>(body).ok()?.contact_width_mm;
+    let widths: Distribution = page.bodies.iter().filter_map(|body| width(body.as_ref())).collect();
+    let (Some(mean_mm), Some(standard_deviation_mm)) = (widths.mean(), widths.standard_deviation()) else {
+        let detail = "fewer than two grips held this part: grip some good parts with its part_id first";
+        return Err(Problem::new(Code::NotFound, detail).field("part_id"));
+    };
+    let distance_mm = (k * standard_deviation_mm).max(RESOLUTION_MM);
+    let limit = |mm: f64| mm.clamp(0.0, f64::from(WIDEST_MM));
+    Ok(Json(ProposedLimits {
+        count: widths.count,
+        mean_mm,
+        standard_deviation_mm,
+        accept_min_mm: limit(mean_mm - distance_mm),
+        accept_max_mm: limit(mean_mm + distance_mm),
+    }))
+}

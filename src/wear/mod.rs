@@ -1,0 +1,260 @@
+//! Wear of the fingers: their use since they were mounted, and the drift of contact widths.
+//!
+//! Both are computed from grip records as the records become durable, and persisted for each gripper. Records that were
+//! missed, e.g. at the end of the last run, are read from the journal. Retention changes neither.
+
+mod drift;
+mod finger_set;
+#[cfg(test)]
+mod tests;
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+use tokio::sync::broadcast::Receiver;
+use tokio::sync::broadcast::error::RecvError;
+use tokio::sync::oneshot;
+use tokio_util::sync::CancellationToken;
+
+use crate::gripper::Now;
+use crate::gripper::model::{
+    AlarmKind, Client, Detail, Event, FingerSetChange, Kind, Name, Outcome, PartId, PersistedKey, PersistedState,
+    SettingChange, SettingsEvent,
+};
+use crate::gripper::recorder::{Record, Recorder as _};
+use crate::journal::{Cursor, GripQuery, GripUpdate, Journal, Limit, Order};
+use drift::DriftChart;
+
+pub use drift::{DEFAULT_DRIFT_LIMITS, DriftLimits};
+pub use finger_set::{FingerSet, FingerSetId, MountRequest};
+
+/// Maximum number of charts of a gripper. Beyond that, the least recently used chart is dropped, one that still learns
+/// before others.
+const MAX_CHARTS: usize = 64;
+
+/// Number of missed records that are read at once.
+const CAUGHT_UP_AT_ONCE: u64 = 1000;
+
+/// Wear of all grippers.
+#[derive(Debug)]
+pub struct Wear {
+    journal: Journal,
+    known: Mutex<KnownWear>,
+}
+
+#[derive(Debug, Default)]
+struct KnownWear {
+    grippers: BTreeMap<Name, GripperWear>,
+    /// `None` if drift is not watched.
+    limits: Option<DriftLimits>,
+}
+
+/// Wear of a gripper's fingers.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+struct GripperWear {
+    /// Sequence number of the newest grip record that was counted.
+    seq: i64,
+    finger_set: Option<FingerSet>,
+    charts: Vec<DriftChart>,
+}
+
+/// Fields of a grip record that wear is computed from.
+#[derive(Debug, Deserialize)]
+struct WearRecord {
+    seq: i64,
+    gripper: Name,
+    started_at: Timestamp,
+    kind: Kind,
+    outcome: Outcome,
+    part_id: Option<PartId>,
+    contact_width_mm: Option<f64>,
+    travel_mm: Option<f64>,
+    recipe_version: Option<u64>,
+}
+
+/// Condition that a person has to know of.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WearCondition {
+    pub alarm: AlarmKind,
+    /// Part or gauge whose contact widths drift.
+    pub part_id: Option<PartId>,
+    /// Description for people.
+    pub cause: String,
+}
+
+impl Wear {
+    /// Continues with what earlier runs persisted.
+    #[must_use]
+    pub fn new(journal: Journal, limits: Option<DriftLimits>, persisted: &[PersistedState]) -> Self {
+        let mut grippers = BTreeMap::new();
+        for state in persisted.iter().filter(|state| state.key == PersistedKey::Wear) {
+            match serde_json::from_str(state.value.as_deref().unwrap_or_default()) {
+                Ok(wear) => drop(grippers.insert(state.gripper.clone(), wear)),
+                Err(error) => tracing::warn!(%error, gripper = %state.gripper, "wear of the fingers not restored"),
+            }
+        }
+        Self { journal, known: Mutex::new(KnownWear { grippers, limits }) }
+    }
+
+    /// Changes the drift limits; `None` stops watching for drift.
+    pub fn set_limits(&self, limits: Option<DriftLimits>) {
+        let mut known = self.known();
+        known.limits = limits;
+        known.grippers.values_mut().flat_map(|wear| &mut wear.charts).for_each(|chart| chart.judge(limits));
+    }
+
+    /// Follows the grip records until the gateway closes.
+    pub async fn watch(self: Arc<Self>, mut grips: Receiver<Arc<GripUpdate>>, closing: CancellationToken) {
+        self.catch_up().await;
+        loop {
+            let grip = tokio::select! {
+                biased;
+                () = closing.cancelled() => return,
+                grip = grips.recv() => grip,
+            };
+            match grip {
+                Ok(grip) => self.take(&grip.body),
+                Err(RecvError::Lagged(_)) => self.catch_up().await,
+                Err(RecvError::Closed) => return,
+            }
+        }
+    }
+
+    /// Counts the records after the newest one that was counted. Without any, counting begins with the next motion.
+    async fn catch_up(&self) {
+        loop {
+            let counted = self.known().grippers.values().map(|wear| wear.seq).max();
+            let Some(counted) = counted.filter(|seq| *seq > 0) else { return };
+            let (limit, cursor) = (Limit::new(CAUGHT_UP_AT_ONCE).unwrap_or_default(), Some(Cursor::behind(counted)));
+            let query = GripQuery { cursor, limit, order: Order::Oldest, ..GripQuery::default() };
+            match self.journal.grips(query).await {
+                Ok(page) => {
+                    page.bodies.iter().for_each(|body| self.take(body));
+                    if page.next_cursor.is_none() {
+                        return;
+                    }
+                }
+                Err(error) => {
+                    tracing::warn!(%error, "motions not counted as wear of the fingers");
+                    return;
+                }
+            }
+        }
+    }
+
+    /// Counts a grip record. A change of a record that was already counted is ignored.
+    fn take(&self, body: &str) {
+        let Ok(record) = serde_json::from_str::<WearRecord>(body) else { return };
+        let mut known = self.known();
+        let (gripper, limits) = (record.gripper.clone(), known.limits);
+        let wear = known.grippers.entry(gripper.clone()).or_default();
+        if record.seq <= wear.seq {
+            return;
+        }
+        wear.take(record, limits);
+        self.persist(&gripper, wear);
+    }
+
+    /// Returns the gripper's finger set, if it is known.
+    #[must_use]
+    pub fn finger_set(&self, gripper: &Name) -> Option<FingerSet> {
+        self.known().grippers.get(gripper)?.finger_set.clone()
+    }
+
+    /// Notes the finger set of a gripper. Another set, or the same one with `reset`, counts from zero, and its contact
+    /// widths are learned again.
+    ///
+    /// Returns the set, and a channel that resolves once it is durable.
+    pub fn mount(&self, gripper: &Name, mounted: MountRequest, by: &Client) -> (FingerSet, oneshot::Receiver<()>) {
+        let at = Now::read().wall;
+        let mut known = self.known();
+        let wear = known.grippers.entry(gripper.clone()).or_default();
+        let same = wear.finger_set.take().filter(|set| set.id == mounted.id && !mounted.reset);
+        if same.is_none() {
+            wear.charts.clear();
+        }
+        let set = mounted.into_finger_set(same, at, by);
+        wear.finger_set = Some(set.clone());
+        self.persist(gripper, wear);
+        let change = FingerSetChange {
+            finger_set: set.id.clone(),
+            mounted_at: set.mounted_at,
+            maintenance_cycles: set.maintenance_cycles,
+            maintenance_travel_m: set.maintenance_travel_m,
+        };
+        let setting = SettingChange::FingerSet(Box::new(change));
+        let detail = Detail::Settings(SettingsEvent { restored: false, setting });
+        let (waiter, durable) = oneshot::channel();
+        self.journal.record(Record::Event(Event::new(at, Some(gripper.clone()), detail).by(by), Some(waiter)));
+        (set, durable)
+    }
+
+    /// Returns the present conditions of a gripper.
+    #[must_use]
+    pub fn conditions(&self, gripper: &Name) -> Vec<WearCondition> {
+        let known = self.known();
+        let Some(wear) = known.grippers.get(gripper) else { return Vec::new() };
+        let due = wear.finger_set.as_ref().filter(|set| set.is_maintenance_due());
+        let due =
+            due.map(|set| WearCondition { alarm: AlarmKind::MaintenanceDue, part_id: None, cause: set.to_string() });
+        let charts = wear.charts.iter().filter(|chart| known.limits.is_some() && chart.is_drifting());
+        let drifting = charts.map(|chart| WearCondition {
+            alarm: AlarmKind::DriftWarning,
+            part_id: Some(chart.part_id.clone()),
+            cause: chart.to_string(),
+        });
+        due.into_iter().chain(drifting).collect()
+    }
+
+    fn persist(&self, gripper: &Name, wear: &GripperWear) {
+        match serde_json::to_string(wear) {
+            Ok(value) => self.journal.record(Record::Persisted(PersistedState {
+                gripper: gripper.clone(),
+                key: PersistedKey::Wear,
+                value: Some(value),
+            })),
+            Err(error) => tracing::error!(%error, %gripper, "wear of the fingers not persisted: it has no JSON form"),
+        }
+    }
+
+    fn known(&self) -> MutexGuard<'_, KnownWear> {
+        // A panic under the lock leaves at most one motion uncounted.
+        self.known.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl GripperWear {
+    fn take(&mut self, record: WearRecord, limits: Option<DriftLimits>) {
+        let WearRecord { seq, started_at, kind, outcome, part_id, contact_width_mm, travel_mm, recipe_version, .. } =
+            record;
+        self.seq = seq;
+        // The record of a grip appears a second after its end, when other fingers can be mounted.
+        if self.finger_set.as_ref().is_some_and(|set| started_at < set.mounted_at) {
+            return;
+        }
+        if let Some(set) = &mut self.finger_set {
+            set.count_motion(kind.is_grip(), travel_mm.unwrap_or_default());
+        }
+        // The width of a wrong part says nothing about the fingers.
+        let (Some(part_id), Some(width_mm), Outcome::PartHeld) = (part_id, contact_width_mm, outcome) else { return };
+        let is_it = |chart: &DriftChart| chart.kind == kind && chart.part_id == part_id;
+        let chart = self.charts.iter().position(is_it).map(|index| self.charts.remove(index));
+        // A new version of the recipe can grip at another speed or force.
+        let is_other =
+            |chart: &DriftChart| chart.recipe_version.zip(recipe_version).is_some_and(|(known, given)| known != given);
+        let chart = chart.filter(|chart| !is_other(chart));
+        let mut chart = chart.unwrap_or_else(|| DriftChart::new(kind, part_id));
+        chart.recipe_version = recipe_version.or(chart.recipe_version);
+        chart.take(width_mm, limits);
+        // The charts are in the order of their use.
+        self.charts.push(chart);
+        if self.charts.len() > MAX_CHARTS {
+            // Parts that are gripped once, such as those with serial numbers, do not push out others.
+            let others = &self.charts[..MAX_CHARTS];
+            let dropped = others.iter().position(DriftChart::is_learning).unwrap_or_default();
+            self.charts.remove(dropped);
+        }
+    }
+}
