@@ -46,6 +46,35 @@ test('a generic finger’s power is switched, and a force finger shows N', async
   await visitor.close();
 });
 
+test('a finger set is named, counts its grips, and asks for maintenance', async () => {
+  const served = await gateway();
+  await served.ask('POST', 'grippers/left/home');
+  const visitor = await visit(launched, served, { path: '/#/left/device' });
+  const { page } = visitor;
+  const panel = page.locator('section[aria-labelledby=finger-set-title]');
+  await panel.locator('dd:has-text("none entered")').waitFor();
+  await page.fill('#finger-set-cycles', '0');
+  assert.equal(await page.locator('#finger-set-save').isDisabled(), true);
+  await page.fill('#finger-set-id', 'F-12');
+  await page.fill('#finger-set-cycles', '1');
+  await page.click('#finger-set-save');
+  await panel.locator('dd:has-text("0 / 1")').waitFor();
+  await served.ask('POST', 'grippers/left/grip', { width_mm: 20, speed_mm_s: 300 });
+  await served.ask('POST', 'grippers/left/release', { width_mm: 60, speed_mm_s: 300 });
+  await panel.locator('.tone-low').waitFor();
+  await page.click('[data-view=operate]');
+  await page.waitForSelector(
+    '.alarm:has-text("left: maintenance of the finger set due"):has-text("finger set F-12, grips: 1")',
+  );
+  await page.click('[data-view=device]');
+  await page.click('#finger-set-reset');
+  await page.click('#finger-set-reset:has-text("Yes, reset")');
+  await panel.locator('dd:has-text("0 / 1")').waitFor();
+  assert.equal(await panel.locator('.tone-low').count(), 0);
+  assertClean(visitor);
+  await visitor.close();
+});
+
 test('diagnostics are shown, and the title has the gateway and its alarms', async () => {
   const served = await gateway({ more: ['--name', 'cell-1', '--gripper', 'left=sim://wsg50'] });
   const visitor = await visit(launched, served, { path: '/#/left/device' });

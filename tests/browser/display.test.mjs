@@ -3,7 +3,7 @@
 import assert from 'node:assert/strict';
 import { after, test } from 'node:test';
 
-import { assertClean, browser, endAll, gateway, homed, named, until, visit } from './harness.mjs';
+import { assertClean, browser, controlled, endAll, gateway, homed, named, until, visit } from './harness.mjs';
 
 after(endAll);
 const launched = await browser();
@@ -127,6 +127,33 @@ test('the first screen works without the other modules, and STOP too', async () 
   await page.waitForSelector('.motion-panel .latch');
   assert.equal(await page.locator('.missing').count(), 0);
   await close();
+});
+
+test('a name that is typed before the page is complete is kept', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  let deliver;
+  const typed = new Promise((resolve) => {
+    deliver = resolve;
+  });
+  await page.route('**/later.js', async (route) => {
+    await typed;
+    await route.continue();
+  });
+  await page.goto(served.url, { waitUntil: 'commit' });
+  await page.fill('#my-name', 'Anna');
+  deliver();
+  await page.waitForSelector('.motion-panel');
+  // A change of the footer that leaves the focus in the field.
+  await page.evaluate(() => document.querySelector('[data-choice=theme-dark]').click());
+  await page.waitForSelector('[data-choice=theme-dark][aria-pressed=true]');
+  assert.equal(await page.inputValue('#my-name'), 'Anna');
+  await page.press('#my-name', 'Tab');
+  await controlled(page);
+  assert.equal((await served.ask('GET', 'grippers/left/state')).lease_holder, 'Anna');
+  assertClean(visitor);
+  await visitor.close();
 });
 
 test('updates before the page is ready are kept, from one subscription', async () => {

@@ -109,20 +109,14 @@ export async function simulator() {
 
 /** Starts a gateway, and reads its state with the token `secret`; `port` 0 is any free port. Waits until the grippers in `connects` are connected, or all. */
 export async function gateway({ port = 0, more = [], toml = '', connects = null, secret = null } = {}) {
-  const folder = mkdtempSync(join(tmpdir(), 'wsg-browser-'));
-  started.push(() => rmSync(folder, { recursive: true }));
-  const file = join(folder, 'gateway.toml');
-  writeFileSync(file, toml);
-  const own = [
-    '--config',
-    file,
-    '--listen',
-    `127.0.0.1:${port}`,
-    '--zenoh-listen',
-    'tcp/127.0.0.1:0',
-    '--journal',
-    ':memory:',
-  ];
+  const own = ['--listen', `127.0.0.1:${port}`, '--zenoh-listen', 'tcp/127.0.0.1:0', '--journal', ':memory:'];
+  if (toml !== '') {
+    const folder = mkdtempSync(join(tmpdir(), 'wsg-browser-'));
+    started.push(() => rmSync(folder, { recursive: true }));
+    const file = join(folder, 'gateway.toml');
+    writeFileSync(file, toml);
+    own.push('--config', file);
+  }
   const { child, kill, says, said: url } = await run([...own, ...more], /(http:\/\/127\.0\.0\.1:\d+)\//);
   const ask = async (method, path, body) => {
     const headers = secret === null ? {} : { authorization: `Bearer ${secret}` };

@@ -107,6 +107,31 @@ test('numbers per part are shown', async () => {
   await visitor.close();
 });
 
+test('a part shows its trend, distribution and limits, and its newest curves', async () => {
+  const served = await worked();
+  const recipe = { number: 1, width_mm: 20, accept_min_mm: 18, accept_max_mm: 22 };
+  await served.ask('PUT', 'recipes/lot-1', recipe);
+  const visitor = await visit(launched, served, { path: '/#/left/history' });
+  const { page } = visitor;
+  await page.click('#evaluate');
+  await page.click('.numbers button:has-text("lot-1")');
+  await page.waitForSelector('.part-report .curve-place canvas');
+  await page.waitForFunction(() => document.querySelectorAll('.part-report .lines li').length === 4);
+  assert.equal(await page.locator('.histogram line').count(), 2);
+  assert.match(await page.locator('.histogram').getAttribute('aria-label'), /^Distribution: .*mm: [12]/);
+  assert.match(await page.locator('.part-report dl').innerText(), /Grips in the journal\s+2[\s\S]*Cpk/);
+  await page.click('#part-curves');
+  await page.waitForFunction(() => document.querySelectorAll('aside .lines li').length === 2);
+  await shoot(page, 'part', { fullPage: true });
+  await page.click('.numbers button:has-text("lot-2")');
+  await page.waitForSelector('.part-report:has-text("lot-2")');
+  await page.waitForFunction(() => document.querySelectorAll('.part-report .lines li').length === 2);
+  await page.click('.numbers button:has-text("lot-2")');
+  await page.waitForFunction(() => !document.querySelector('.part-report'));
+  assertClean(visitor);
+  await visitor.close();
+});
+
 for (const [locale, words] of [
   ['en-GB', [/width 20 mm, speed 300 mm\/s, part lot-1/, /Home first|home first/, /force limit/]],
   ['de-DE', [/Weite 20 mm, Geschwindigkeit 300 mm\/s, Teil lot-1/, /erst Referenzfahrt/, /Kraftgrenze/]],

@@ -269,6 +269,22 @@ test('numbers per part have mean, spread and trend', async () => {
   );
 });
 
+test('moving averages begin with the oldest value', async () => {
+  const { averages } = await view('statistics');
+  assert.deepEqual(averages([20, 21, 20]), [20, 20.2, 20.16]);
+});
+
+test('a histogram covers all values', async () => {
+  const { histogram } = await view('statistics');
+  assert.deepEqual(histogram([1, 2, 2, 5]), [
+    { from: 1, to: 3, count: 3 },
+    { from: 3, to: 5, count: 1 },
+  ]);
+  const [only, ...others] = histogram([20, 20]);
+  assert.deepEqual([only.count, others.length], [2, 0]);
+  assert.ok(only.from < 20 && only.to > 20);
+});
+
 test('older samples are put before the present ones', () => {
   const samples = new Samples(4);
   samples.push(10, [1, 1, 1]);

@@ -44,7 +44,7 @@ async function fetchLater() {
 }
 
 function Operate({ one }) {
-  const { Alarms, Charts, Control, Flags, Motion } = later.value;
+  const { Alarms, Charts, Control, Flags, Motion, Recipes } = later.value;
   return html`<div class="operate">
     <${Jaws} one=${one} />${Motion && mayOperate(one.name) && html`<${Motion} one=${one} />`}
     ${Charts && html`<${Charts} one=${one} />`}
@@ -53,7 +53,7 @@ function Operate({ one }) {
       mayOperate(one.name) &&
       html`<${Control}
         one=${one} />`
-    }${Flags && html`<${Flags} one=${one} />`}</div>
+    }${Recipes && mayOperate(one.name) && html`<${Recipes} one=${one} />`}${Flags && html`<${Flags} one=${one} />`}</div>
   </div>`;
 }
 
@@ -96,15 +96,22 @@ function Main() {
   return html`<main key=${view.value === 'all' ? 'all' : one.name}><${View} one=${one} /></main>`;
 }
 
+/** Text in the field of the name before it is entered; null for none. Other changes of the page must not lose it. */
+const typedName = signal(null);
+
 function Footer() {
   return html`<footer class="foot">
     <p class="safety">${t('foot.safety')}</p>
     <div class="prefs">
       <${SignedIn} />
       <label for="my-name">${t('foot.name')}</label>
-      <input id="my-name" type="text" value=${myName.value} onInput=${within(MAX_NAME_BYTES, () => {})}
+      <input id="my-name" type="text" value=${typedName.value ?? myName.value}
+          onInput=${within(MAX_NAME_BYTES, (text) => {
+            typedName.value = text;
+          })}
           onChange=${(event) => {
             rename(event.currentTarget.value);
+            typedName.value = null;
             event.currentTarget.value = myName.peek();
           }} />
       <${Choice} label=${t('foot.language')} name="language" value=${language.value}

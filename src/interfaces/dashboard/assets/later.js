@@ -12,3 +12,4 @@ export { Log } from './views/log.js';
 export { Motion } from './views/motion.js';
 export { Notices } from './views/notices.js';
 export { All } from './views/overview.js';
+export { Recipes } from './views/recipes.js';

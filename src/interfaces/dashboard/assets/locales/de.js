@@ -85,6 +85,8 @@ export const de = {
   'figure.soft': 'Soft-Limits {min} – {max} mm',
   'figure.max': 'max. {max} {unit}',
   'result.held': 'Teil gehalten',
+  'result.wrong_part': 'Falsches Teil gehalten',
+  'result.contact': 'Kontakt bei {width} mm, außerhalb der Grenzen des Rezepts',
   'result.early': 'vorzeitig gestoppt bei {width} mm, Ziel {aim} mm',
   'result.at': 'gestoppt bei {width} mm',
   'result.error': 'Fehler bis zur nächsten Bewegung',
@@ -95,6 +97,7 @@ export const de = {
   'command.grip': 'Greifen',
   'command.release': 'Loslassen',
   'command.stop': 'Halt',
+  'command.reference': 'Referenzgriff',
   'command.custom': 'Eigener Befehl',
   'outcome.running': 'läuft…',
   'outcome.SUCCESS': 'erledigt',
@@ -107,6 +110,7 @@ export const de = {
   'outcome.FAILED': 'fehlgeschlagen',
   'outcome.REFUSED': 'abgelehnt',
   'outcome.UNKNOWN': 'unbekannt: vielleicht ausgeführt',
+  'outcome.WRONG_PART': 'falsches Teil gehalten',
   'foot.safety':
     'STOPP ist ein FAST STOP per Software: Er läuft über diesen Browser, das Netz und das Gateway und ist keine Sicherheitsfunktion im Sinne der ISO 13850. Im Notfall den Not-Halt der Zelle betätigen.',
   'signin.title': 'Anmelden',
@@ -155,6 +159,8 @@ export const de = {
   'problem.gateway_timeout': 'Dieses Gateway hat nicht rechtzeitig geantwortet.',
   'problem.unauthorized': 'Das Gateway akzeptiert das nicht: Melden Sie sich mit einem gültigen Token an.',
   'problem.invalid_configuration': 'Die neue Konfiguration ist nicht verwendbar.',
+  'problem.precondition_failed': 'Jemand anderes hat dieses Rezept geändert. Sehen Sie es sich zuerst wieder an.',
+  'problem.number_taken': 'Die Nummer ist schon vergeben.',
   'problem.forbidden': 'Ihre Rolle erlaubt das nicht.',
   'problem.not_found': 'Nicht gefunden.',
 };

@@ -85,6 +85,8 @@ export const en = {
   'figure.soft': 'soft limits {min} – {max} mm',
   'figure.max': 'max. {max} {unit}',
   'result.held': 'Part held',
+  'result.wrong_part': 'Wrong part held',
+  'result.contact': 'contact at {width} mm, outside the limits of the recipe',
   'result.early': 'stopped early at {width} mm, target {aim} mm',
   'result.at': 'stopped at {width} mm',
   'result.error': 'Error until the next motion',
@@ -95,6 +97,7 @@ export const en = {
   'command.grip': 'Grip',
   'command.release': 'Release',
   'command.stop': 'Stop',
+  'command.reference': 'Reference grip',
   'command.custom': 'Custom command',
   'outcome.running': 'running…',
   'outcome.SUCCESS': 'done',
@@ -107,6 +110,7 @@ export const en = {
   'outcome.FAILED': 'failed',
   'outcome.REFUSED': 'refused',
   'outcome.UNKNOWN': 'unknown: may have been carried out',
+  'outcome.WRONG_PART': 'wrong part held',
   'foot.safety':
     'STOP is a FAST STOP by software: it passes through this browser, the network and the gateway, and is not a safety function as defined by ISO 13850. In an emergency, use the emergency stop of the cell.',
   'signin.title': 'Sign in',
@@ -155,6 +159,8 @@ export const en = {
   'problem.gateway_timeout': 'That gateway did not answer in time.',
   'problem.unauthorized': 'The gateway does not accept this: sign in with a valid token.',
   'problem.invalid_configuration': 'The new configuration cannot be used.',
+  'problem.precondition_failed': 'Someone else has changed this recipe. Look at it again first.',
+  'problem.number_taken': 'The number belongs to another recipe.',
   'problem.forbidden': 'Your role does not allow this.',
   'problem.not_found': 'Not found.',
 };

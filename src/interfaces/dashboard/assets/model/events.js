@@ -1,8 +1,10 @@
 // Applies journal events to the page. They report the actions of all clients, on any interface.
 
 import { batch } from '../lib.js';
+import { isGrip } from '../core/kinds.js';
 import { takeControl } from './commands.js';
 import { myName } from './name.js';
+import { takeRecipeChange } from './recipes.js';
 import { eventSeq, learn, learnSettings, others, rpc } from './store.js';
 
 /** Limit of the clients in `others`. */
@@ -22,7 +24,7 @@ function takeCommand(event, one, at) {
     const width = event.relative ? (from === null ? null : from + event.width_mm) : (event.width_mm ?? null);
     one.target.value = { command: id, kind, width_mm: width, force_n: event.force_n ?? null };
     one.command.value = { id, kind, phase: 'running', outcome: null, client: event.subject, started_at: event.at };
-    if (kind === 'grip') one.mark(at, 'begin', event.part_id ?? '');
+    if (isGrip(kind)) one.mark(at, 'begin', event.part_id ?? '');
     return;
   }
   const target = one.target.peek();
@@ -33,7 +35,7 @@ function takeCommand(event, one, at) {
     one.target.value = null;
   }
   one.command.value = { ...event, id, kind, aim_mm, client: event.subject };
-  if (kind === 'grip') one.mark(at, event.outcome === 'PART_HELD' ? 'held' : 'end', event.outcome);
+  if (isGrip(kind)) one.mark(at, event.outcome === 'PART_HELD' ? 'held' : 'end', event.outcome);
 }
 
 /** Notes that another client took control from this page, or that the gateway ended this page's lease. */
@@ -85,6 +87,7 @@ export function takeEvent(event, one, at) {
   batch(() => {
     eventSeq.value = event.seq;
     if (event.subject) remember(event);
+    if (event.kind === 'recipe') takeRecipeChange();
     if (!one) return;
     if (event.kind === 'command') takeCommand(event, one, at);
     if (event.kind === 'settings') takeSetting(event, one);

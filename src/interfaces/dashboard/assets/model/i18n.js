@@ -38,7 +38,7 @@ const formats = computed(() => {
   const digits = (count) =>
     new Intl.NumberFormat(tag, { useGrouping: false, minimumFractionDigits: count, maximumFractionDigits: count });
   return {
-    digits: [digits(0), digits(1), digits(2)],
+    digits: [0, 1, 2, 3].map(digits),
     any: new Intl.NumberFormat(tag, { useGrouping: false, maximumFractionDigits: 2 }),
     time: new Intl.DateTimeFormat(tag, { hour: '2-digit', minute: '2-digit', second: '2-digit', hour12: false }),
     full: new Intl.DateTimeFormat(tag, { dateStyle: 'long', timeStyle: 'short' }),

@@ -56,6 +56,9 @@ setInterval(() => {
   if (me.value?.proof === 'pin') recognize();
 }, ASKED_EVERY_MS);
 
+/** Whether the user may operate all grippers, which a change for all of them needs. */
+export const mayOperateAll = () => me.value === null || me.value.grippers.every(({ gripper }) => mayOperate(gripper));
+
 /** Whether this person may move a gripper and change its settings. The gateway itself decides. */
 export function mayOperate(name) {
   if (me.value === null) return true;

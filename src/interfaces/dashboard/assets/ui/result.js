@@ -2,12 +2,16 @@
 
 import { html } from '../lib.js';
 import { FLAGS, isSet } from '../core/flags.js';
+import { isGrip } from '../core/kinds.js';
 import { fixed, plain, t } from '../model/i18n.js';
 import { Shape } from './parts.js';
 
 /** Gripper states that are results of a grip. */
 const HELD = 'HOLDING';
 const FAILED = ['NO_PART', 'PART_LOST'];
+
+/** Outcome of a grip that holds a part outside the limits of its recipe. */
+const WRONG_PART = 'WRONG_PART';
 
 const FAULTS = FLAGS.filter(({ weight }) => weight === 'fault');
 
@@ -23,7 +27,7 @@ const TOLERANCE_MM = 2;
 export const hasFailed = ({ phase, outcome }) => phase !== 'running' && Boolean(outcome) && !GOOD.includes(outcome);
 
 function early(command, width) {
-  const aim = command?.kind === 'grip' ? command.aim_mm : null;
+  const aim = isGrip(command?.kind) ? command.aim_mm : null;
   return aim == null || width == null || Math.abs(width - aim) <= TOLERANCE_MM
     ? null
     : t('result.early', { width: fixed(width, 1), aim: plain(aim) });
@@ -36,8 +40,12 @@ function resultOf(one) {
   if (state === HELD) {
     // `reading` is read only in this state, so that moving fingers do not render the result again.
     const { width_mm: width, force_n: force } = one.reading.value ?? {};
-    const note = early(command, width);
-    return { state, text: t('result.held'), figures: `${fixed(width, 1)} mm · ${fixed(force, 1)} N`, note };
+    const figures = `${fixed(width, 1)} mm · ${fixed(force, 1)} N`;
+    if (command?.outcome === WRONG_PART) {
+      const note = t('result.contact', { width: fixed(command.contact_width_mm, 2) });
+      return { state: WRONG_PART, isWrong: true, text: t('result.wrong_part'), figures, note };
+    }
+    return { state, text: t('result.held'), figures, note: early(command, width) };
   }
   // Firmware 4 reports ERROR from a FAST STOP until the next motion, even after the acknowledgement.
   if (state === 'ERROR' && !FAULTS.some(({ bit }) => isSet(one.flags.value, bit))) {

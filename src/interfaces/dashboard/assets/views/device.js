@@ -8,6 +8,7 @@ import { connection, learnSettings, rpc } from '../model/store.js';
 import { Covered, Panel, Shape } from '../ui/parts.js';
 import { Facts } from './facts.js';
 import { limitsText, NumberField } from './fields.js';
+import { FingerSet } from './finger_set.js';
 import { Fingers } from './fingers.js';
 import { Health } from './health.js';
 
@@ -217,5 +218,5 @@ function Statistics({ one }) {
 export function Device({ one }) {
   return html`<${Covered} one=${one}><div class="pair"><div class="column"><${About} one=${one} /><${Limits}
       one=${one} /><${Statistics} one=${one} /><${Health} one=${one} /></div><div class="column"><${Settings}
-      one=${one} /><${Fingers} one=${one} /></div></div></${Covered}>`;
+      one=${one} /><${FingerSet} one=${one} /><${Fingers} one=${one} /></div></div></${Covered}>`;
 }

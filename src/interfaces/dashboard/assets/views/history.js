@@ -8,6 +8,7 @@ import { get, query } from '../net/rest.js';
 import { eventSeq, grippers, isLive } from '../model/store.js';
 import { Curve, MAX_CURVES } from './curve.js';
 import { evaluate, Numbers } from './numbers.js';
+import { PartReport } from './part.js';
 import { Events, Grips } from './tables.js';
 import { Choice, Covered, MAX_PART_BYTES, Panel, ProblemNote, within } from '../ui/parts.js';
 
@@ -17,8 +18,20 @@ const IS_WIDE = matchMedia('(min-width: 761px)').matches;
 /** Delay of a reload after an event, because events come in bursts. */
 const LOOKS_AFTER_MS = 400;
 const KINDS = {
-  events: ['command', 'fast_stop', 'acknowledge', 'lease', 'link', 'device', 'settings', 'refused', 'gateway', 'alarm'],
-  grips: ['grip', 'release', 'move', 'home'],
+  events: [
+    'command',
+    'fast_stop',
+    'acknowledge',
+    'lease',
+    'link',
+    'device',
+    'settings',
+    'refused',
+    'gateway',
+    'alarm',
+    'recipe',
+  ],
+  grips: ['grip', 'release', 'move', 'home', 'reference'],
 };
 const OUTCOMES = [
   'SUCCESS',
@@ -31,6 +44,7 @@ const OUTCOMES = [
   'FAILED',
   'REFUSED',
   'UNKNOWN',
+  'WRONG_PART',
 ];
 
 function Select({ id, label, options, value: chosen, word }) {
@@ -71,7 +85,8 @@ export function History({ one }) {
   const [what, kind, part, outcome] = [useSignal('grips'), useSignal(''), useSignal(''), useSignal('')];
   const [from, to, isOfAll] = [useSignal(''), useSignal(''), useSignal(false)];
   const [list, next, problem, note] = [useSignal([]), useSignal(null), useSignal(null), useSignal('')];
-  const [picked, compares, numbers] = [useSignal([]), useSignal(false), useSignal(null)];
+  const [picked, compares] = [useSignal([]), useSignal(false)];
+  const [numbers, shownPart] = [useSignal(null), useSignal(undefined)];
   // Without a kind, the gateway would list only grips.
   const kinds = kind.value || (what.value === 'grips' ? 'all' : '');
   const asked = {
@@ -144,6 +159,7 @@ export function History({ one }) {
           id="print" onClick=${() => print()}>${t('history.print')}</button><button type="button" id="export"
           onClick=${save}>${t('history.export')}</button>`;
   const isGrips = what.value === 'grips';
+  const reported = isGrips && numbers.value?.parts.find(({ part: id }) => id !== null && id === shownPart.value);
   return html`<${Panel} title=${`${t('nav.history')}: ${isOfAll.value ? t('all.title') : one.name}`} id="history-title"
       class="report" actions=${actions}>
     <p class="printed">${fullDate(Date.now())} ${filterText({ ...asked, kind: kind.value }, what.value)}</p>
@@ -159,7 +175,13 @@ export function History({ one }) {
       <span class="small" role="status">${note.value}</span>
     </div></details>
     <${ProblemNote} problem=${problem} />
-    <${Covered}>${numbers.value && html`<${Numbers} numbers=${numbers.value} />`}<div class=${isGrips ? 'split' : ''}>
+    <${Covered}>${numbers.value && html`<${Numbers} numbers=${numbers.value} shown=${shownPart} />`}${
+      reported &&
+      html`<${PartReport} key=${reported.part} part=${reported} filters=${asked} onCurves=${(grips) => {
+        compares.value = true;
+        picked.value = grips;
+      }} />`
+    }<div class=${isGrips ? 'split' : ''}>
       <div class="table-place" tabindex="0" role="region" aria-label=${t(`history.${what.value}`)}>
         ${
           list.value.length === 0

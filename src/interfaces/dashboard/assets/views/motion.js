@@ -1,6 +1,7 @@
 // Motion controls: home, move, grip, release, stop, within the limits shown beside each field.
 
 import { computed, html, signal, useMemo } from '../lib.js';
+import { isGrip } from '../core/kinds.js';
 import { asTyped, forceLimits, mistake, number, speedLimits, widthLimits } from '../core/limits.js';
 import { fixed, plain, t } from '../model/i18n.js';
 import { askFreely, fastStopOne, move, releaseControl, takeControl } from '../model/commands.js';
@@ -56,7 +57,7 @@ function fieldsOf(one) {
 }
 
 /** Key of the reason why a motion is not possible now, or null. */
-function whyNot(one, needsReference = true) {
+export function whyNot(one, needsReference = true) {
   if (!isLive.value || !one.isThere.value) return 'why.link';
   if (one.latchId.value) return 'why.fast_stop';
   if (!one.isMine.value) return 'why.control';
@@ -95,7 +96,7 @@ function LastCommand({ one }) {
   const shape = hasFailed(command) ? 'high' : command.outcome ? 'check' : 'moving';
   const measured = [
     command.width_mm != null && `${fixed(command.width_mm, 2)} mm`,
-    command.kind === 'grip' && command.force_n != null && `${fixed(command.force_n, 1)} N`,
+    isGrip(command.kind) && command.force_n != null && `${fixed(command.force_n, 1)} N`,
     command.duration_ms != null && `${fixed(command.duration_ms / 1000, 2)} s`,
   ];
   return html`<p class="last" role="status" data-outcome=${command.outcome ?? 'running'}><${Shape} name=${shape} />

@@ -86,7 +86,11 @@ function Fleet() {
     <tbody>${list.map(
       (one) => html`<tr key=${`${one.gateway}/${one.gripper}`}
         class=${one.fast_stop ? 'stop-row' : one.link === 'connected' && !one.gone ? '' : 'bad'}>
-      <td>${one.dashboard && !one.gone ? html`<a href=${one.dashboard} target="_blank" rel="noopener">${one.gateway}</a>` : one.gateway}</td><td>${one.gripper}</td><td>${t(`link.${one.gone ? 'gone' : one.link}`)}</td>
+      <td>${
+        one.dashboard && !one.gone
+          ? html`<a href=${one.dashboard} target="_blank" rel="noopener">${one.gateway}</a>`
+          : one.gateway
+      }</td><td>${one.gripper}</td><td>${t(`link.${one.gone ? 'gone' : one.link}`)}</td>
         <td>${one.fast_stop ? t('state.FAST_STOP') : t(`state.${one.state ?? 'unknown'}`)}</td>
           <td>${one.lease_holder ?? '–'}</td>
             <td>${one.age_ms == null ? '–' : one.age_ms < 1000 ? `${plain(one.age_ms)} ms` : span(one.age_ms)}</td>

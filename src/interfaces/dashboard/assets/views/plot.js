@@ -45,8 +45,10 @@ export function overlaid(lines) {
   return [times, ...lines.map((line) => times.map((time) => valueAt(line, time)))];
 }
 
+const seconds = (value) => `${fixed(value, MAX_DECIMALS)} s`;
+
 /** Shows the values under the cursor. All plots of a group share one cursor. */
-function readout(output) {
+function readout(output, atText) {
   return (drawn) => {
     const { idx } = drawn.cursor;
     const [times, ...lines] = drawn.data;
@@ -54,15 +56,19 @@ function readout(output) {
     output.textContent =
       values.length === 0
         ? ''
-        : `${values.map((value) => fixed(value, MAX_DECIMALS)).join(' / ')} (${fixed(times[idx], MAX_DECIMALS)} s)`;
+        : `${values.map((value) => fixed(value, MAX_DECIMALS)).join(' / ')} (${atText(times[idx])})`;
   };
 }
 
 /**
  * `timeText` formats a label of the time axis from its value and decimals. `output` shows the value under the cursor,
- * which all plots with the same `group` share. `xScale`, `yScale`, `padding` and `hooks` are uPlot's.
+ * which all plots with the same `group` share, and `atText` formats its value on the x axis. `xScale`, `yScale`,
+ * `padding` and `hooks` are uPlot's.
  */
-export function plot(place, { data, timeText, output, group, xScale = {}, yScale = {}, padding, hooks = {} }) {
+export function plot(
+  place,
+  { data, timeText, atText = seconds, output, group, xScale = {}, yScale = {}, padding, hooks = {} },
+) {
   const axis = (more) => ({
     stroke: css('--ink-2'),
     font: '11px system-ui, sans-serif',
@@ -100,7 +106,7 @@ export function plot(place, { data, timeText, output, group, xScale = {}, yScale
           spanGaps: false,
         })),
       ],
-      hooks: { ...hooks, setCursor: [readout(output)] },
+      hooks: { ...hooks, setCursor: [readout(output, atText)] },
     },
     data,
     place,

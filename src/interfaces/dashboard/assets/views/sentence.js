@@ -26,6 +26,8 @@ export function sentence(event) {
       return { key: `event.${event.event}`, with: { version: event.version ?? '', count: event.count ?? '' } };
     case 'alarm':
       return { key: `event.alarm.${event.event}`, of: { alarm: `alarm.${event.alarm}` } };
+    case 'recipe':
+      return { key: `event.${event.event}`, with: { number: event.recipe, part: event.definition?.part_id ?? '' } };
     default:
       return { key: null };
   }
@@ -46,6 +48,7 @@ const FIELDS = [
   'plus_mm',
   'enabled',
   'tag',
+  'finger_set',
   'restored',
   'effect',
   'status',

@@ -16,7 +16,35 @@ export function summary(values) {
   };
 }
 
-/** Groups grips, newest first, by part: count, share of held parts, and width and force of the held ones. */
+/** Weight of the newest value in a moving average, as in the gateway. */
+const NEWEST_WEIGHS = 0.2;
+
+/** Exponentially weighted moving averages of values, oldest first. */
+export function averages(values) {
+  let average = values[0];
+  return values.map((value) => {
+    average += NEWEST_WEIGHS * (value - average);
+    return average;
+  });
+}
+
+/** Maximum number of bars of a histogram. */
+const MAX_BARS = 20;
+/** Width of the only bar if all values are the same: the resolution of widths, in mm. */
+const RESOLUTION_MM = 0.01;
+
+/** Bars of equal width that cover all values: `from`, `to` and the number of values within. */
+export function histogram(values) {
+  const [least, most] = [Math.min(...values), Math.max(...values)];
+  const bars = least === most ? 1 : Math.min(MAX_BARS, Math.ceil(Math.sqrt(values.length)));
+  const width = least === most ? RESOLUTION_MM : (most - least) / bars;
+  const from = least === most ? least - RESOLUTION_MM / 2 : least;
+  const counts = Array(bars).fill(0);
+  for (const value of values) counts[Math.min(bars - 1, Math.floor((value - from) / width))] += 1;
+  return counts.map((count, index) => ({ from: from + index * width, to: from + (index + 1) * width, count }));
+}
+
+/** Groups grips, newest first, by part: the grips, count, share of held parts, and width and force of the held ones. */
 export function perPart(grips) {
   const groups = new Map();
   for (const grip of grips) {
@@ -27,6 +55,7 @@ export function perPart(grips) {
     const held = all.filter(({ outcome, part_lost_at }) => outcome === HELD && !part_lost_at);
     return {
       part,
+      grips: all,
       count: all.length,
       rate: held.length / all.length,
       width: summary(held.map(({ width_mm }) => width_mm)),

@@ -5,7 +5,7 @@ import { nameIn, person } from '../core/people.js';
 import { details, sentence } from './sentence.js';
 import { fixed, moment, ofProblem, plain, t } from '../model/i18n.js';
 
-const BAD = ['NO_PART', 'BLOCKED', 'RANGE', 'TIMEOUT', 'FAILED', 'REFUSED', 'UNKNOWN', 'ABORTED'];
+const BAD = ['NO_PART', 'BLOCKED', 'RANGE', 'TIMEOUT', 'FAILED', 'REFUSED', 'UNKNOWN', 'ABORTED', 'WRONG_PART'];
 
 /** Operations whose names have translations. */
 const MOTIONS = ['home', 'move', 'grip', 'release', 'stop'];

@@ -1,0 +1,97 @@
+// The mounted fingers, their use, and the limits after which they need maintenance.
+
+import { html, useEffect, useSignal } from '../lib.js';
+import { asTyped, mistake, number } from '../core/limits.js';
+import { askFreely } from '../model/commands.js';
+import { fixed, fullDate, plain, t } from '../model/i18n.js';
+import { mayOperate } from '../model/me.js';
+import { isLive, rpc } from '../model/store.js';
+import { Panel, Shape, within } from '../ui/parts.js';
+import { NumberField } from './fields.js';
+import { Facts } from './facts.js';
+
+const MAX_ID_BYTES = 48;
+/** A grip is counted a second after its end. */
+const COUNTED_WITHIN_MS = 1500;
+const CYCLES = { min: 1, max: 1_000_000_000, whose: 'device' };
+const TRAVEL_M = { min: 0.01, max: 1_000_000_000, whose: 'device' };
+
+/** Text of a count with its unit, and with its limit if there is one. */
+const used = (text, limit, unit) => `${text}${limit === null ? '' : ` / ${plain(limit)}`}${unit}`;
+
+function Form({ one, set, take }) {
+  const id = useSignal(set.id ?? '');
+  const cycles = useSignal(asTyped(set.maintenance_cycles));
+  const travel = useSignal(asTyped(set.maintenance_travel_m));
+  const isSure = useSignal(false);
+  const given = ({ value }) => (value.trim() === '' ? undefined : number(value));
+  const isWrong =
+    id.value.trim() === '' ||
+    [
+      [cycles, CYCLES],
+      [travel, TRAVEL_M],
+    ].some(([typed, limits]) => given(typed) !== undefined && mistake(given(typed), limits));
+  const send = async (reset) => {
+    const limits = { maintenance_cycles: given(cycles), maintenance_travel_m: given(travel) };
+    const answer = await askFreely(one, 'finger-set.set', { id: id.peek().trim(), reset, ...limits });
+    if (answer) take(answer);
+  };
+  const save = (event) => {
+    event.preventDefault();
+    send(false);
+  };
+  return html`<form onSubmit=${save} aria-labelledby="finger-set-title"><div class="fields">
+      <div class="field"><label for="finger-set-id">${t('set.id')}</label><div class="input"><input id="finger-set-id"
+          type="text" autocomplete="off" value=${id.value} onInput=${within(MAX_ID_BYTES, (text) => {
+            id.value = text;
+          })} /></div></div>
+      <${NumberField} id="finger-set-cycles" label=${t('set.maintenance_cycles')} unit="" value=${cycles} limits=${CYCLES}
+          isOptional=${true} whenEmpty=${t('set.no_limit')} />
+      <${NumberField} id="finger-set-travel" label=${t('set.maintenance_travel')} unit="m" value=${travel}
+          limits=${TRAVEL_M} isOptional=${true} whenEmpty=${t('set.no_limit')} />
+    </div><div class="buttons"><button type="submit" id="finger-set-save" disabled=${isWrong}>${t('set.save')}</button>${
+      set.id !== null &&
+      html`<button type="button" id="finger-set-reset" disabled=${isWrong} onClick=${() => {
+        if (isSure.peek()) send(true);
+        isSure.value = !isSure.peek();
+      }}>${t(isSure.value ? 'set.reset_sure' : 'set.reset')}</button>`
+    }</div><p class="hint">${t('set.hint')}</p></form>`;
+}
+
+export function FingerSet({ one }) {
+  const known = useSignal(null);
+  useEffect(() => {
+    let isWanted = true;
+    const look = () =>
+      rpc.call('finger-set', { gripper: one.name }).then(
+        (set) => {
+          if (isWanted) known.value = set;
+        },
+        () => {},
+      );
+    look();
+    const timer = setTimeout(look, COUNTED_WITHIN_MS);
+    return () => {
+      isWanted = false;
+      clearTimeout(timer);
+    };
+  }, [one, one.runs.value, one.settingsChange.value, isLive.value]);
+  const set = known.value;
+  if (!set) return null;
+  const facts = [
+    ['set.id', set.id ?? t('set.none')],
+    ['set.mounted_at', set.mounted_at && fullDate(set.mounted_at)],
+    ['set.cycles', set.cycles !== null && used(plain(set.cycles), set.maintenance_cycles, '')],
+    ['set.travel', set.travel_m !== null && used(fixed(set.travel_m, 1), set.maintenance_travel_m, ' m')],
+  ];
+  const take = (answer) => {
+    known.value = answer;
+  };
+  // When somebody else changes the set, the form shows the new values.
+  const identity = [set.id, set.maintenance_cycles, set.maintenance_travel_m].join();
+  return html`<${Panel} title=${t('set.title')} id="finger-set-title">
+    ${set.maintenance_due && html`<p class="tone-low"><${Shape} name="low" /> ${t('alarm.maintenance_due')}</p>`}
+    <${Facts} facts=${facts.filter(([, value]) => value !== false)} />
+    ${mayOperate(one.name) && html`<${Form} key=${`${one.name}/${identity}`} one=${one} set=${set} take=${take} />`}
+  </${Panel}>`;
+}
