@@ -44,6 +44,8 @@ pub mod daemon;
 pub mod doctor;
 pub mod events;
 pub mod fleet;
+#[cfg(any(test, fuzzing))]
+pub mod fuzz;
 pub mod gripper;
 pub mod interfaces;
 pub mod journal;

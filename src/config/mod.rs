@@ -24,6 +24,8 @@ use crate::webhooks::WebhookSettings;
 mod access;
 mod drift;
 mod file;
+#[cfg(any(test, fuzzing))]
+pub(crate) mod fuzz;
 mod journal;
 mod modbus;
 mod public_url;

@@ -11,6 +11,8 @@ mod commands;
 pub mod csv;
 mod curve;
 mod event_stream;
+#[cfg(any(test, fuzzing))]
+pub(crate) mod fuzz;
 mod identity;
 mod presence;
 mod prune;

@@ -21,6 +21,8 @@ pub(crate) mod fast_stop;
 pub(crate) mod finger_set;
 pub(crate) mod fingers;
 pub(crate) mod fleet;
+#[cfg(any(test, fuzzing))]
+pub(crate) mod fuzz;
 mod gateway;
 pub(crate) mod grippers;
 pub(crate) mod json;

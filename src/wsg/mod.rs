@@ -13,6 +13,8 @@ pub mod command;
 pub mod crc;
 pub mod device;
 pub mod frame;
+#[cfg(any(test, fuzzing))]
+pub(crate) mod fuzz;
 pub mod id;
 mod payload;
 pub mod quantity;

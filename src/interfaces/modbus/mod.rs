@@ -16,6 +16,8 @@ mod commands;
 mod connection;
 mod context;
 mod fieldbus;
+#[cfg(any(test, fuzzing))]
+pub(crate) mod fuzz;
 mod image;
 mod order;
 mod registers;

@@ -4,6 +4,8 @@
 //! `outbox` with bounded bytes.
 
 mod bodies;
+#[cfg(any(test, fuzzing))]
+pub(crate) mod fuzz;
 mod halves;
 mod outbox;
 mod rpc;

@@ -11,6 +11,8 @@
 mod acknowledge;
 mod client;
 mod device;
+#[cfg(any(test, fuzzing))]
+pub(crate) mod fuzz;
 mod input;
 mod listener;
 mod port;

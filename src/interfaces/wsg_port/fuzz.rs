@@ -1,0 +1,93 @@
+//! Fuzz target of the WSG port.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use super::device::{MAX_WAITING_FRAMES, PortReply, VirtualDevice};
+use super::port::Rules;
+use super::status::RefusedStatus;
+use crate::gripper::FastStop;
+use crate::gripper::model::{CustomIds, FastStopCause, FastStopId, LatchFields, Link, Name, Reason, State};
+use crate::wsg::{ChecksumEvaluation, Data, Decoded, Decoder, Reply, Status, frame, id};
+
+/// Checks a client's session. Each frame for the client is valid, their number is bounded, and a FAST STOP at the end is
+/// obeyed, whatever was sent before. The first byte sets the rules. Each later byte selects a step.
+pub(crate) fn session(data: &[u8]) {
+    let (Some((&rules, mut steps)), Ok(name)) = (data.split_first(), "g".parse::<Name>()) else { return };
+    let evaluates = rules % 2 == 1;
+    let rules = Rules { checksum_evaluation: evaluates, acknowledge_any: rules & 2 == 2, allow: Vec::new() };
+    let custom_ids = CustomIds { read: [0xB2].into(), stream: [0xB1].into() };
+    let mut device = VirtualDevice::new("wsg:10.0.0.1".into(), &rules, Arc::new(custom_ids), 10);
+    let mut state = State { link: Link::Connected, flags_raw: Some(1), width_mm: Some(20.0), ..State::unknown(name) };
+    let (mut now, mut orders) = (Instant::now(), VecDeque::new());
+    while let Some((&step, rest)) = steps.split_first() {
+        steps = rest;
+        match step {
+            // The client sends up to 127 bytes.
+            0..128 => {
+                let (bytes, rest) = steps.split_at(steps.len().min(step.into()));
+                steps = rest;
+                device.receive(now, bytes, &state);
+            }
+            // Up to a second passes.
+            128..160 => {
+                let until = now + Duration::from_millis(32) * u32::from(step - 128);
+                while let Some(at) = device.poll_timeout(&state).filter(|at| *at <= until) {
+                    now = now.max(at);
+                    device.handle_timeout(now, &state);
+                }
+                now = until;
+            }
+            160..224 => {
+                let Some(asked) = orders.pop_front() else { continue };
+                let refused = RefusedStatus { status: Status::E_ACCESS_DENIED, fast_stop: None };
+                let reply = match step % 4 {
+                    0 => PortReply::Accepted,
+                    1 => PortReply::Reply(Reply::Success(Data::None)),
+                    2 => PortReply::Refused(refused),
+                    _ => PortReply::FastStopped(FastStop { id: FastStopId::generate(), confirmed: step < 192 }),
+                };
+                device.answer(now, asked, reply, &state);
+            }
+            224..240 => {
+                state.latch = (step % 2 == 1).then(|| LatchFields {
+                    fast_stop_id: FastStopId::generate(),
+                    fast_stop_by: "device".into(),
+                    fast_stop_cause: FastStopCause::Unknown,
+                    fast_stop_reason: Reason::truncated(""),
+                    fast_stop_at: jiff::Timestamp::UNIX_EPOCH,
+                    fast_stop_confirmed: true,
+                    epoch: 1,
+                });
+            }
+            240.. => device.set_holder(step % 2 == 1),
+        }
+        orders.extend(std::iter::from_fn(|| device.poll_order()).map(|ordered| ordered.ask));
+        while device.poll_refused().is_some() {}
+        let frames: Vec<_> = std::iter::from_fn(|| device.poll_frame()).collect();
+        assert!(frames.len() <= MAX_WAITING_FRAMES, "{} frames", frames.len());
+        for frame in frames {
+            check(&frame);
+        }
+    }
+    // Incomplete frames time out. Bytes behind them can subscribe to updates, which would never end.
+    device.forget_waiting();
+    while let Some(at) = device.poll_timeout(&state) {
+        device.handle_timeout(at, &state);
+        device.forget_waiting();
+        now = at;
+    }
+    let mut fast_stop = Vec::new();
+    frame::encode(id::FAST_STOP, &[], &mut fast_stop);
+    device.receive(now, &fast_stop, &state);
+    assert!(device.is_stopping() || device.has_overflown(), "a FAST STOP was lost");
+}
+
+/// Checks that these bytes are one frame.
+fn check(frame: &[u8]) {
+    let mut decoder = Decoder::new(id::max_reply_bytes, ChecksumEvaluation::On);
+    decoder.push(frame);
+    assert!(matches!(decoder.next(), Some(Decoded::Frame(_))), "not a frame: {frame:02x?}");
+    assert!(!decoder.is_partial(), "more than a frame: {frame:02x?}");
+}
