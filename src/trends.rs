@@ -83,7 +83,7 @@ impl Trends {
         let mut all = self.all();
         let samples = all.entry(gripper.clone()).or_default();
         let len = samples.len();
-        // Of a stretch of equal values, only both ends are kept.
+        // Only the two ends of a stretch of equal values are kept.
         let before = len.checked_sub(2).and_then(|index| samples.get(index)).map(TrendSample::values);
         if let Some(last) =
             samples.back_mut().filter(|last| [before, Some(sample.values())] == [Some(last.values()); 2])

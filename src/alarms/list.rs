@@ -134,7 +134,7 @@ impl AlarmList {
         dropped.and_then(|key| self.0.remove(&key)).is_some()
     }
 
-    /// Acknowledges the alarms with these ids. Returns the listed ones with what has changed.
+    /// Acknowledges the alarms with these ids. Returns those that were listed, with their changes.
     pub(super) fn acknowledge(
         &mut self,
         ids: &BTreeSet<AlarmId>,

@@ -210,7 +210,7 @@ async fn start(
     let webhooks = Arc::new(Webhooks::start(&config.webhooks, &webhook_context)?);
     let wear = watch_wear(&config, &journal, &recovered, &clients.observers, &shutdown);
     let alarms = Arc::new(Alarms::new(config.name.clone(), journal.clone(), &recovered.memory));
-    // The links that draining closes are no alarms.
+    // The links that draining closes raise no alarms.
     clients.observers.spawn(alarms.clone().watch(grippers.clone(), peers.clone(), wear.clone(), draining.clone()));
     let recipes = Arc::new(Recipes::new(config.name.clone(), journal.clone(), &recovered.memory));
     let (reloads, reload_requests) = Reloads::channel();

@@ -101,7 +101,7 @@ fn redact(key: &str, value: &mut toml::Value) {
         toml::Value::Table(table) => table.iter_mut().for_each(|(key, value)| redact(key, value)),
         toml::Value::Array(items) => items.iter_mut().for_each(|item| redact(key, item)),
         toml::Value::String(text) => {
-            // The path of a file is no secret.
+            // The path of a file is not secret.
             if SECRET_WORDS.iter().any(|word| key.contains(word)) && !key.ends_with("_file") {
                 REDACTED.clone_into(text);
             } else if let Ok(mut url) = text.parse::<Url>()

@@ -60,7 +60,7 @@ pub(super) fn secrets(installation: &Installation) -> Vec<Diagnosis> {
         findings.push(match TokenFile::at(tokens.clone()).list() {
             Ok(tokens) if tokens.is_empty() => Diagnosis::warning(
                 "tokens",
-                "there is no token, so nobody can sign in: create one with `wsg-gateway token create`",
+                "no token exists, so nobody can sign in: create one with `wsg-gateway token create`",
             ),
             Ok(tokens) => Diagnosis::good("tokens", format_args!("tokens: {}", tokens.len())),
             Err(error) => Diagnosis::problem("tokens", error),

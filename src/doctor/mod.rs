@@ -49,7 +49,7 @@ pub struct Diagnosis {
     pub severity: Severity,
     /// Name of the check.
     pub check: &'static str,
-    /// What is wrong and the remedy, or what was found to be right.
+    /// The problem and its remedy, or the confirmed condition.
     pub text: String,
 }
 

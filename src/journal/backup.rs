@@ -34,7 +34,7 @@ pub enum BackupError {
 /// Copies a journal as it is at this moment to a new file. Calls `progress` with the copied and the total bytes.
 ///
 /// # Errors
-/// [`BackupError`]. There is no file then, or the existing one is unchanged.
+/// [`BackupError`]. Then nothing is written, and an existing file is unchanged.
 pub fn back_up(journal: &Path, to: &Path, mut progress: impl FnMut(u64, u64)) -> Result<(), BackupError> {
     let reader = Reader::open(journal)?;
     // A crash must not leave a file that looks complete.

@@ -53,10 +53,10 @@ pub struct FingerSetAnswer {
     /// Distance that the fingers moved relative to each other since `mounted_at`, in m.
     #[schema(required, minimum = 0)]
     travel_m: Option<f64>,
-    /// Number of grips after which the set needs maintenance; null if there is no such limit.
+    /// Number of grips after which the set needs maintenance; null without a limit.
     #[schema(required, minimum = 1, maximum = 1_000_000_000)]
     maintenance_cycles: Option<u64>,
-    /// Distance after which the set needs maintenance, in m; null if there is no such limit.
+    /// Distance after which the set needs maintenance, in m; null without a limit.
     #[schema(required, minimum = 0.001, maximum = 1_000_000_000)]
     maintenance_travel_m: Option<f64>,
     /// Whether `maintenance_cycles` or `maintenance_travel_m` is reached.
@@ -91,10 +91,10 @@ fn id_schema() -> OneOfBuilder {
 pub struct SetFingerSet {
     #[schema(schema_with = id_schema, required)]
     id: TextOrNumber,
-    /// Number of grips after which the set needs maintenance; if absent, there is no such limit.
+    /// Number of grips after which the set needs maintenance; unlimited if absent.
     #[schema(value_type = Option<u64>, minimum = 1, maximum = 1_000_000_000)]
     maintenance_cycles: Option<f64>,
-    /// Distance after which the set needs maintenance, in m; if absent, there is no such limit.
+    /// Distance after which the set needs maintenance, in m; unlimited if absent.
     #[schema(minimum = 0.001, maximum = 1_000_000_000)]
     maintenance_travel_m: Option<f64>,
     /// Whether to count from zero although this set is already mounted, e.g. after maintenance.

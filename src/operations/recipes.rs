@@ -30,7 +30,7 @@ pub const SET: Operation = Operation::change("recipe.set", &Verb::PUT, PATH, |ca
 pub const REMOVE: Operation =
     Operation::change("recipe.remove", &Verb::DELETE, PATH, |call| reply(remove(call))).conditional();
 
-/// What a refused change says.
+/// Problem of a refused change.
 const UNCHANGED: &str = "no recipe was changed";
 
 /// Maximum number of recipes in a request: one for each number.

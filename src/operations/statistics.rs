@@ -74,10 +74,10 @@ pub struct StatisticsOfGrips {
     /// `part_id`.
     #[schema(required)]
     moving_average_mm: Option<f64>,
-    /// Smallest accepted contact width in the part's recipe, in mm; null if there is none.
+    /// Smallest accepted contact width in the part's recipe, in mm; null without a recipe or limit.
     #[schema(required)]
     accept_min_mm: Option<f64>,
-    /// Largest accepted contact width in the part's recipe, in mm; null if there is none.
+    /// Largest accepted contact width in the part's recipe, in mm; null without a recipe or limit.
     #[schema(required)]
     accept_max_mm: Option<f64>,
     /// Version of that recipe; null if the part has no recipe.

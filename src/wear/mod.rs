@@ -85,7 +85,7 @@ pub struct WearCondition {
 }
 
 impl Wear {
-    /// Continues with what earlier runs persisted.
+    /// Continues with the figures that earlier runs persisted.
     #[must_use]
     pub fn new(journal: Journal, limits: Option<DriftLimits>, persisted: &[PersistedState]) -> Self {
         let mut grippers = BTreeMap::new();

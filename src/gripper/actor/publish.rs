@@ -40,7 +40,7 @@ impl Publication {
         self.info.send_modify(|info| change(Arc::make_mut(info)));
     }
 
-    /// Publishes a new configuration. What is known of the device stays, unless there is a new one.
+    /// Publishes a new configuration. Known values of the device stay, unless the device is a new one.
     pub(super) fn reconfigure(&self, config: &ActorConfig, is_new_device: bool) {
         self.change_info(|info| {
             let new = info_of(config);

@@ -87,7 +87,7 @@ pub enum AlarmPriority {
     Low,
 }
 
-/// What raised an alarm.
+/// The cause of an alarm.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
 pub struct AlarmCause {
     /// Cause as text: the cause of a FAST STOP or of a lost link, the name of a lost lease holder, the figures of a drift,

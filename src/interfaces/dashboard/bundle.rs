@@ -10,7 +10,7 @@
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 
-/// Returns the text of an asset; an empty one if there is none.
+/// Returns the text of an asset; empty if the asset does not exist.
 pub(super) type Read<'a> = &'a dyn Fn(&str) -> String;
 
 /// A script in the making.

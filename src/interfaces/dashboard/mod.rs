@@ -130,7 +130,7 @@ fn joined() -> BTreeMap<&'static str, Content> {
     BTreeMap::from([(FIRST, script(&first)), (SECOND, script(&second)), ("style.css", style)])
 }
 
-/// Returns the text of an asset; an empty one if there is none.
+/// Returns the text of an asset; empty if the asset does not exist.
 fn text(path: &str) -> String {
     Assets::get(path).map(|file| String::from_utf8_lossy(&file.data).into_owned()).unwrap_or_default()
 }

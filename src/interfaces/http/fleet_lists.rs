@@ -53,7 +53,7 @@ pub struct GatewayResult<T> {
     /// Name of the gateway.
     #[schema(max_length = 32)]
     gateway: String,
-    /// The gateway's own result; null if there is none.
+    /// The gateway's own result; null if that failed.
     #[schema(required)]
     result: Option<T>,
     /// Reason for a missing result; null if there is one.

@@ -321,10 +321,10 @@ pub struct FingerSetChange {
     #[serde(serialize_with = "super::time::milliseconds")]
     #[schema(value_type = String, format = DateTime)]
     pub mounted_at: Timestamp,
-    /// Number of grips after which the set needs maintenance; null if there is no such limit.
+    /// Number of grips after which the set needs maintenance; null without a limit.
     #[schema(required)]
     pub maintenance_cycles: Option<u64>,
-    /// Distance after which the set needs maintenance, in m; null if there is no such limit.
+    /// Distance after which the set needs maintenance, in m; null without a limit.
     #[schema(required)]
     pub maintenance_travel_m: Option<f64>,
 }
