@@ -6,7 +6,7 @@ use axum::extract::{MatchedPath, Request};
 use axum::http::Method;
 use axum::response::Response;
 use tracing::field::Empty;
-use tracing::{Instrument, debug, info, info_span};
+use tracing::{Instrument, Span, debug, debug_span, info, info_span};
 
 use super::context::HttpContext;
 use super::problem::RefusedMark;
@@ -14,11 +14,8 @@ use super::visitor::client;
 
 /// Counts and logs a request: a read at DEBUG, any other at INFO.
 pub async fn watch(context: &HttpContext, request: Request, next: impl AsyncFnOnce(Request) -> Response) -> Response {
-    let method = request.method().clone();
+    let (method, span) = (request.method().clone(), span(&request));
     let route = request.extensions().get::<MatchedPath>().cloned();
-    let client = client(request.extensions()).subject;
-    let path = request.uri().path();
-    let span = info_span!("request", %method, path, %client, command = Empty, fast_stop = Empty);
     let since = Instant::now();
     let response = next(request).instrument(span.clone()).await;
     let (status, duration_ms) = (response.status().as_u16(), since.elapsed().as_millis() as u64);
@@ -29,6 +26,15 @@ pub async fn watch(context: &HttpContext, request: Request, next: impl AsyncFnOn
     });
     context.metrics.answered(route.as_ref().map(MatchedPath::as_str), bounded(&method), status);
     response
+}
+
+/// Returns the span of a request. Most requests are reads: a span that no log shows costs them nothing.
+fn span(request: &Request) -> Span {
+    let (method, path, client) = (request.method(), request.uri().path(), || client(request.extensions()).subject);
+    match *method {
+        Method::GET | Method::HEAD => debug_span!("request", %method, path, client = %client()),
+        _ => info_span!("request", %method, path, client = %client(), command = Empty, fast_stop = Empty),
+    }
 }
 
 /// Returns the metric label of a method. Clients can invent methods, so unknown ones share one label.
