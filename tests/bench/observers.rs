@@ -14,47 +14,24 @@
 mod crowd;
 mod directory;
 mod program;
-#[path = "observers/tap.rs"]
+mod stopper;
 mod tap;
+mod usage;
+mod variables;
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::TcpListener;
 use std::process::{ChildStdin, Command, Stdio};
-use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
 use directory::Directory;
 use program::{Error, Running, start};
-use serde_json::{Value, json};
+use serde_json::Value;
+use stopper::{Stopper, percentile};
+use variables::number;
 
 /// Unmeasured stops at the start, idle and loaded.
 const WARM_UP: usize = 20;
-
-/// Time for which the fingers move before they are stopped, so that the observers get updates at the full rate.
-const MOVES_FOR: Duration = Duration::from_millis(100);
-
-/// Speed at which the fingers move for longer than a fan-out.
-const SLOW_MM_S: f64 = 5.0;
-
-/// Kernel clock ticks per second.
-const TICKS: f64 = 100.0;
-
-impl Running {
-    /// Resident memory, in MiB.
-    fn memory(&self) -> Result<f64, Error> {
-        let status = std::fs::read_to_string(format!("/proc/{}/status", self.0.id()))?;
-        let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).ok_or("no VmRSS")?;
-        Ok(line.trim().trim_end_matches(" kB").parse::<f64>()? / 1024.0)
-    }
-
-    /// Processor time used, in seconds.
-    fn time(&self) -> Result<f64, Error> {
-        let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.0.id()))?;
-        let fields: Vec<_> = stat.rsplit(')').next().ok_or("no stat")?.split_whitespace().collect();
-        let ticks = |index: usize| fields.get(index).ok_or("too short").map(|field| field.parse::<f64>());
-        Ok((ticks(11)?? + ticks(12)??) / TICKS)
-    }
-}
 
 /// The observers' process, which reports on request.
 struct Crowd {
@@ -86,65 +63,11 @@ impl Crowd {
     }
 }
 
-fn number(name: &str, default: usize) -> usize {
-    std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(default)
-}
-
-/// A client that stops the gripper, and acknowledges.
-struct Stopper {
-    runtime: tokio::runtime::Runtime,
-    http: reqwest::Client,
-    base: String,
-    stops: Receiver<Instant>,
-}
-
-impl Stopper {
-    fn post(&self, path: &str, body: &Value) -> Result<Value, Error> {
-        let url = format!("{}/{path}", self.base);
-        Ok(self.runtime.block_on(async { self.http.post(url).json(body).send().await?.json().await })?)
-    }
-
-    fn state(&self) -> Result<Value, Error> {
-        let url = format!("{}/state", self.base);
-        Ok(self.runtime.block_on(async { self.http.get(url).send().await?.json().await })?)
-    }
-
-    /// Begins a slow motion towards the farther end, unless one is still running.
-    fn begin_motion(&self) -> Result<(), Error> {
-        let width_mm = if self.state()?["width_mm"].as_f64().ok_or("no width")? > 55.0 { 5.0 } else { 105.0 };
-        let begun = self.post("move?wait_ms=0", &json!({"width_mm": width_mm, "speed_mm_s": SLOW_MM_S}))?;
-        if begun["phase"] == "running" || begun["code"] == "already_running" {
-            Ok(())
-        } else {
-            Err(format!("not moving: {begun}").into())
-        }
-    }
-
-    /// Returns the time from the request until the device has the frame.
-    fn stop(&self) -> Result<Duration, Error> {
-        self.begin_motion()?;
-        std::thread::sleep(MOVES_FOR);
-        while self.stops.try_recv().is_ok() {}
-        let begun = Instant::now();
-        let stopped = self.post("fast-stop", &json!({"reason": "a bench"}))?;
-        let reached = self.stops.recv_timeout(Duration::from_secs(5))?;
-        while self.state()?["fast_stop_confirmed"] != true {}
-        let acknowledged = self.post("acknowledge", &json!({"fast_stop_id": stopped["fast_stop_id"]}))?;
-        if acknowledged["fast_stop"] != false {
-            return Err(format!("not acknowledged: {acknowledged}").into());
-        }
-        Ok(reached - begun)
-    }
-
-    fn stops(&self, count: usize) -> Result<Vec<Duration>, Error> {
-        let mut times = (0..count).map(|_| self.stop()).collect::<Result<Vec<_>, _>>()?;
-        times.sort_unstable();
-        Ok(times)
-    }
-}
-
-fn percentile(times: &[Duration], percent: usize) -> Duration {
-    times[(times.len() - 1) * percent / 100]
+/// Returns the sorted times of some stops.
+fn stops(stopper: &Stopper, count: usize) -> Result<Vec<Duration>, Error> {
+    let mut times = (0..count).map(|_| stopper.stop()).collect::<Result<Vec<_>, _>>()?;
+    times.sort_unstable();
+    Ok(times)
 }
 
 /// Binds the threads of a process to these processors.
@@ -176,7 +99,7 @@ fn main() -> Result<(), Error> {
     }
     let processors = processors()?;
     let (_device, device) = start(&["sim", "tcp://127.0.0.1:0"], " at tcp://")?;
-    let (tapped, stops) = tap::start(device)?;
+    let (tapped, frames) = tap::start(device)?;
     let gripper = format!("g=tcp://{tapped}");
     // A journal file, as in production; a journal in memory would grow with every event.
     let directory = Directory::new("observers")?;
@@ -187,27 +110,21 @@ fn main() -> Result<(), Error> {
     if let Some(processors) = &processors {
         bind(gateway.0.id(), processors)?;
     }
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    let base = format!("http://{address}/api/v1/grippers/g");
-    // The gateway closes an idle connection after 10 s.
-    let http = reqwest::Client::builder().pool_idle_timeout(Duration::from_secs(1)).build()?;
-    let stopper = Stopper { runtime, http, base, stops };
-    while stopper.state()?["link"] != "connected" {}
-    stopper.post("home", &json!({}))?;
-    stopper.stops(WARM_UP)?;
+    let stopper = Stopper::new(&address, frames)?;
+    stops(&stopper, WARM_UP)?;
 
     let (observers, stalled, seconds) = (number("OBSERVERS", 1000), number("STALLED", 100), number("SECONDS", 10));
     println!("{observers} observers at {} Hz, {stalled} of them stalled, with a flood", number("HZ", 50));
     let count = number("STOPS", 200);
-    let idle = stopper.stops(count)?;
+    let idle = stops(&stopper, count)?;
     let before = gateway.memory()?;
     let mut crowd = Crowd::start("websocket", &address)?;
     stopper.begin_motion()?;
     let fan_out = fan_out(&mut crowd, &gateway, seconds)?;
     // Each observer's buffers grow with its first events.
-    stopper.stops(WARM_UP)?;
+    stops(&stopper, WARM_UP)?;
     let begun = gateway.memory()?;
-    let loaded = stopper.stops(count)?;
+    let loaded = stops(&stopper, count)?;
     let ended = gateway.memory()?;
     // The last events are still in transit.
     std::thread::sleep(Duration::from_secs(2));

@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use wsg_gateway::wsg::{ChecksumEvaluation, Decoded, Decoder, id};
 
-use super::Error;
+use crate::program::Error;
 
 /// Relays between one gateway and a device.
 pub fn start(device: String) -> Result<(SocketAddr, Receiver<Instant>), Error> {

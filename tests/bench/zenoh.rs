@@ -8,8 +8,8 @@
 mod program;
 #[path = "zenoh/subscribers.rs"]
 mod subscribers;
-#[path = "observers/tap.rs"]
 mod tap;
+mod variables;
 
 use std::process::{Command, Stdio};
 use std::sync::Arc;
@@ -20,6 +20,7 @@ use std::time::{Duration, Instant};
 use program::{Error, Running, start};
 use serde_json::{Value, json};
 use subscribers::{Seen, now_ms};
+use variables::number;
 use zenoh::Wait as _;
 use zenoh::qos::{CongestionControl, Priority};
 
@@ -28,10 +29,6 @@ const HZ: u64 = 50;
 
 /// Payload size of the flood, similar to a state.
 const FLOOD_BYTES: usize = 700;
-
-fn number(name: &str, default: usize) -> usize {
-    std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(default)
-}
 
 /// Returns a port that is free at the moment.
 fn free() -> Result<String, Error> {

@@ -14,7 +14,8 @@ use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 use tokio_tungstenite::tungstenite::http::HeaderValue;
 use tokio_tungstenite::{WebSocketStream, client_async};
 
-use super::{Error, number};
+use super::Error;
+use super::variables::number;
 
 type Socket = WebSocketStream<TcpStream>;
 
