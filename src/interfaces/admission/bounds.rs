@@ -105,36 +105,35 @@ impl Bounds {
         + RESERVED
         + DISPLACED;
 
-    /// Minimum number of descriptors, which leaves each class one slot.
-    pub const MIN_DESCRIPTORS: usize = 9;
+    /// Minimum number of descriptors: a slot of each class and for evicted connections, and a second one for new and for
+    /// keep-alive connections, so that a FAST STOP and a cyclic program do not displace each other.
+    pub const MIN_DESCRIPTORS: usize = 11;
 
-    /// Distributes this many descriptors, at most [`Bounds::MAX_DESCRIPTORS`], among the classes.
+    /// Distributes this many descriptors among the classes, at least [`Bounds::MIN_DESCRIPTORS`] and at most
+    /// [`Bounds::MAX_DESCRIPTORS`].
     #[must_use]
     pub fn of(descriptors: usize) -> Self {
-        let descriptors = descriptors.min(Self::MAX_DESCRIPTORS);
-        let share = |most: usize| (most * descriptors / Self::MAX_DESCRIPTORS).max(1);
+        let descriptors = descriptors.clamp(Self::MIN_DESCRIPTORS, Self::MAX_DESCRIPTORS);
+        let (given, all) = (descriptors - Self::MIN_DESCRIPTORS, Self::MAX_DESCRIPTORS - Self::MIN_DESCRIPTORS);
+        let share = |least: usize, most: usize| least + (most - least) * given / all;
         let mut classes = [usize::MAX; CLASSES];
-        for (class, most) in [
-            (Class::Incoming, INCOMING),
-            (Class::Idle, IDLE),
-            (Class::Answering, ANSWERING),
-            (Class::Urgent, URGENT),
-            (Class::Waiting, WAITING),
-            (Class::Streaming, STREAMING),
+        for (class, least, most) in [
+            (Class::Incoming, 2, INCOMING),
+            (Class::Idle, 2, IDLE),
+            (Class::Answering, 1, ANSWERING),
+            (Class::Urgent, 1, URGENT),
+            (Class::Waiting, 1, WAITING),
+            (Class::Streaming, 1, STREAMING),
         ] {
-            classes[class as usize] = share(most);
+            classes[class as usize] = share(least, most);
         }
-        let (leaving, reserved) = (share(LEAVING), share(RESERVED));
-        // New and keep-alive connections share the remainder, so that several new ones can wait for their first bytes.
+        let (leaving, displaced) = (share(1, LEAVING), share(1, DISPLACED));
+        // Rounded up: the other shares are rounded down, which leaves a descriptor for it.
+        let reserved = (RESERVED * given).div_ceil(all);
+        // New and keep-alive connections share the remainder.
         let bounded: usize = classes.iter().filter(|most| **most < usize::MAX).sum();
         let of_streams = classes[Class::Streaming as usize] * (STREAMING_DESCRIPTORS - 1);
-        let taken = bounded + of_streams + leaving + reserved;
-        let rest = descriptors.saturating_sub(taken);
-        // With few descriptors, keep-alive connections give up a slot for them.
-        let idle = &mut classes[Class::Idle as usize];
-        let displaced = share(DISPLACED).min(rest + *idle - 1);
-        *idle -= displaced.saturating_sub(rest);
-        let rest = rest.saturating_sub(displaced);
+        let rest = descriptors.saturating_sub(bounded + of_streams + leaving + reserved + displaced);
         classes[Class::Incoming as usize] += rest.div_ceil(2);
         classes[Class::Idle as usize] += rest / 2;
         Self { classes, leaving, reserved, displaced, held_bytes: HELD_BYTES }
@@ -148,6 +147,15 @@ impl Bounds {
         classes[Class::Incoming as usize] = (descriptors / 4).max(1);
         classes[Class::Idle as usize] = (descriptors / 2).max(1);
         Self { classes, leaving: (descriptors / 4).max(1), reserved: 0, displaced: 0, held_bytes: HELD_BYTES }
+    }
+
+    /// Returns bounds with one slot of each class, and none for connections that were evicted before their first byte.
+    #[cfg(test)]
+    #[must_use]
+    pub fn narrow() -> Self {
+        let mut classes = [1; CLASSES];
+        classes[Class::Pinned as usize] = usize::MAX;
+        Self { classes, leaving: 1, reserved: 1, displaced: 0, held_bytes: HELD_BYTES }
     }
 
     #[cfg(test)]
@@ -168,15 +176,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn shares_stay_within_the_descriptors() {
-        for descriptors in [Bounds::MIN_DESCRIPTORS, 24, 64, 600, 1024, Bounds::MAX_DESCRIPTORS] {
+    fn shares_use_all_descriptors() {
+        for descriptors in Bounds::MIN_DESCRIPTORS..=Bounds::MAX_DESCRIPTORS {
             let bounds = Bounds::of(descriptors);
             let classes = bounds.classes.iter().filter(|most| **most < usize::MAX).sum::<usize>();
-            let bounded =
+            let used =
                 classes + bounds.of_class(Class::Streaming) + bounds.leaving + bounds.reserved + bounds.displaced;
-            assert!(bounded <= descriptors, "{bounded} of {descriptors}: {bounds:?}");
-            assert!(bounds.classes.iter().all(|most| *most > 0));
-            assert!(bounds.displaced > 0 || descriptors == Bounds::MIN_DESCRIPTORS, "{bounds:?}");
+            assert_eq!(used, descriptors, "{bounds:?}");
+            assert!(bounds.classes.iter().all(|most| *most > 0) && bounds.displaced > 0, "{bounds:?}");
+            assert!(bounds.of_class(Class::Idle) > 1 && bounds.of_class(Class::Incoming) > 1, "{bounds:?}");
         }
         assert_eq!(Bounds::of(usize::MAX).of_class(Class::Streaming), STREAMING);
     }

@@ -7,7 +7,7 @@ const ELSEWHERE: IpAddr = IpAddr::V4(Ipv4Addr::new(10, 0, 0, 7));
 
 /// Returns an admission with one connection of each class, but two incoming and three streaming ones.
 fn small() -> Arc<Admission> {
-    let bounds = Bounds::of(1).with(Class::Incoming, 2).with(Class::Streaming, 3);
+    let bounds = Bounds::narrow().with(Class::Incoming, 2).with(Class::Streaming, 3);
     Admission::new(bounds)
 }
 
@@ -89,7 +89,7 @@ fn lease_holder_never_gives_way() {
 
 #[test]
 fn long_poll_that_gives_way_keeps_its_connection() {
-    let admission = Admission::new(Bounds::of(1).with(Class::Incoming, 9).with(Class::Waiting, 2));
+    let admission = Admission::new(Bounds::narrow().with(Class::Incoming, 9).with(Class::Waiting, 2));
     let [first, second, third] = [HERE, HERE, HERE].map(|peer| admit(&admission, peer));
     let waiting = (first.claim(Class::Waiting).unwrap(), second.claim(Class::Waiting).unwrap());
     assert!(third.claim(Class::Waiting).is_none());
@@ -102,7 +102,7 @@ fn long_poll_that_gives_way_keeps_its_connection() {
 
 #[test]
 fn demoted_connection_gives_way_before_idle_ones() {
-    let admission = Admission::new(Bounds::of(1).with(Class::Incoming, 1).with(Class::Answering, 2));
+    let admission = Admission::new(Bounds::narrow().with(Class::Incoming, 1).with(Class::Answering, 2));
     let poller = admit(&admission, HERE);
     drop(poller.claim(Class::Answering).unwrap());
     let greedy = admit(&admission, HERE);
@@ -153,7 +153,7 @@ async fn accepting_waits_for_evicted_connections_to_end() {
 
 #[test]
 fn one_ipv6_network_is_one_peer() {
-    let admission = Admission::new(Bounds::of(1).with(Class::Incoming, 3));
+    let admission = Admission::new(Bounds::narrow().with(Class::Incoming, 3));
     let address = |text: &str| text.parse::<IpAddr>().unwrap();
     let foreign = admit(&admission, address("2001:db8:0:1::1"));
     let flood: Vec<_> = (2..6).map(|n| admit(&admission, address(&format!("2001:db8:0:2::{n}")))).collect();

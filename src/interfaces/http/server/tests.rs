@@ -165,7 +165,7 @@ async fn oversized_body_after_100_continue_is_answered() {
 
 /// Limits with one connection for each class.
 fn narrow() -> ServerLimits {
-    ServerLimits::within(Bounds::of(1))
+    ServerLimits::within(Bounds::narrow())
 }
 
 #[tokio::test]
@@ -197,7 +197,7 @@ async fn half_sent_body_gives_way() {
 
 #[tokio::test]
 async fn long_poll_beyond_the_bound_is_answered_at_once() {
-    let limits = ServerLimits::within(Bounds::of(1).with(Class::Incoming, 2).with(Class::Answering, 2));
+    let limits = ServerLimits::within(Bounds::narrow().with(Class::Incoming, 2).with(Class::Answering, 2));
     let server = start(limits, FakeScript { fate: Fate::Runs, ..FakeScript::default() }).await;
     let mut first = server.connect().await;
     let home = "POST /api/v1/grippers/left/home?wait_ms=60000 HTTP/1.1\r\nHost: localhost\r\nContent-Length: 0\r\n\r\n";
