@@ -2,7 +2,8 @@
 //!
 //! A connection is in one [`Class`] at a time, and each class has its own bound, so that no kind of traffic can use up
 //! the slots of another. A connection that has not sent a complete request has no claim. If its class is full, the
-//! oldest such connection gives way to the newest, so that a FAST STOP always finds a slot. The peer with the most
+//! oldest such connection gives way to the newest, so that a FAST STOP always finds a slot. For some milliseconds, one
+//! that has sent nothing yet is spared before one that has, since it may bring a FAST STOP. The peer with the most
 //! connections in that class loses one, so that one address cannot shut out the others.
 //!
 //! The total bytes held for connections are bounded, too: beyond [`Bounds::held_bytes`] the connection that holds the
@@ -18,6 +19,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use tokio::sync::{Notify, OwnedSemaphorePermit, Semaphore};
+use tokio::time::sleep;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 use tokio_util::task::task_tracker::TaskTrackerToken;
@@ -29,6 +31,9 @@ use table::{Id, Table};
 /// Time for an evicted connection to deliver its response, also to a FAST STOP whose first bytes arrived before the
 /// eviction.
 const LINGER: Duration = Duration::from_millis(100);
+
+/// Interval of looking for a slot for a silent connection.
+const LOOK_EVERY: Duration = Duration::from_millis(1);
 
 /// Extra slots for connections whose first line has arrived. They leave their slot within microseconds, so their
 /// descriptors are among those that the gateway keeps for itself.
@@ -74,6 +79,14 @@ impl Admission {
                 return;
             }
             ended.await;
+        }
+    }
+
+    /// Waits for a moment while one more connection would evict one that has had no time to send its first bytes, and
+    /// that has no other slot.
+    pub async fn has_room_for_silent(&self) {
+        while self.displaced.available_permits() == 0 && self.table().is_full_of_silent(Instant::now()) {
+            sleep(LOOK_EVERY).await;
         }
     }
 
@@ -145,6 +158,11 @@ impl ConnectionPermit {
 
     fn linger_besides(&self, leaving: usize) -> Duration {
         if self.admission.table().is_half_crowded(leaving) { Duration::ZERO } else { LINGER }
+    }
+
+    /// Marks that the first bytes have arrived, and are not those of a FAST STOP.
+    pub fn begun(&self) {
+        self.admission.table().begun(self.id);
     }
 
     /// Marks this connection as the newest idle one, because its client sent something.

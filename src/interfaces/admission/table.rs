@@ -3,7 +3,7 @@
 
 use std::collections::{BTreeSet, HashMap};
 use std::net::{IpAddr, Ipv6Addr};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use tokio_util::sync::CancellationToken;
 
@@ -14,6 +14,10 @@ pub(super) type Id = u64;
 
 /// One peer: an IPv4 address, or an IPv6 /64 network, since one machine can use all of its addresses.
 type Peer = IpAddr;
+
+/// Time in which a connection that has sent nothing yet takes precedence over others, because it may still bring a FAST
+/// STOP. A client sends its first bytes within a millisecond, unless its machine is busy.
+const SILENT_FOR: Duration = Duration::from_millis(5);
 
 #[derive(Debug)]
 pub(super) struct Table {
@@ -32,6 +36,7 @@ pub(super) struct Table {
 #[derive(Debug, Default)]
 struct Members {
     count: usize,
+    /// Ranks and numbers of the connections.
     peers: HashMap<Peer, BTreeSet<(Instant, Id)>>,
 }
 
@@ -40,6 +45,8 @@ struct Entry {
     peer: Peer,
     /// Class of the connection while it has no claim: [`Class::Incoming`] or [`Class::Idle`].
     base: Class,
+    /// Whether nothing has arrived on the connection yet.
+    is_silent: bool,
     /// Whether the client exceeded its share: without a claim its connection is [`Class::Incoming`], even when idle.
     is_demoted: bool,
     claims: [u32; CLASSES],
@@ -58,6 +65,11 @@ impl Entry {
         let unclaimed = if self.is_demoted { Class::Incoming } else { self.base };
         [Pinned, Streaming, Waiting, Urgent, Answering].into_iter().find(claimed).unwrap_or(unclaimed)
     }
+
+    /// Rank among the connections of a class and peer: the lowest gives way first.
+    fn rank(&self) -> Instant {
+        if self.is_silent { self.since + SILENT_FOR } else { self.since }
+    }
 }
 
 impl Table {
@@ -73,6 +85,7 @@ impl Table {
         let entry = Entry {
             peer,
             base,
+            is_silent: true,
             is_demoted: false,
             claims: [0; CLASSES],
             since: now,
@@ -81,13 +94,17 @@ impl Table {
             held_bytes: 0,
             is_leaving: false,
         };
-        self.classes[base as usize].insert(peer, now, id);
+        self.classes[base as usize].insert(peer, entry.rank(), id);
         self.entries.insert(id, entry);
         id
     }
 
     pub(super) fn heard(&mut self, id: Id, now: Instant) {
         self.change(id, |entry| (entry.base, entry.since) = (Class::Idle, now));
+    }
+
+    pub(super) fn begun(&mut self, id: Id) {
+        self.change(id, |_| {});
     }
 
     /// Treats the connection as incoming between requests, until its next request is answered.
@@ -147,7 +164,7 @@ impl Table {
                 self.leaving -= 1;
             } else {
                 self.held_bytes -= entry.held_bytes;
-                self.classes[entry.class() as usize].remove(entry.peer, entry.since, id);
+                self.classes[entry.class() as usize].remove(entry.peer, entry.rank(), id);
             }
         }
     }
@@ -166,6 +183,13 @@ impl Table {
     }
 
     /// Whether so many evicted connections are still ending that no new one is admitted.
+    /// Whether one more connection would evict one that has had no time to send its first bytes.
+    pub(super) fn is_full_of_silent(&self, now: Instant) -> bool {
+        let is_full = self.classes[Class::Incoming as usize].count >= self.bounds.of_class(Class::Incoming);
+        let next = self.greediest(Class::Incoming).filter(|_| is_full).and_then(|id| self.entries.get(&id));
+        next.is_some_and(|entry| entry.is_silent && entry.rank() > now)
+    }
+
     pub(super) fn is_crowded(&self) -> bool {
         self.leaving >= self.bounds.leaving
     }
@@ -243,7 +267,7 @@ impl Table {
 
     fn evict(&mut self, id: Id) {
         if let Some(entry) = self.entries.get_mut(&id).filter(|entry| !entry.is_leaving) {
-            self.classes[entry.class() as usize].remove(entry.peer, entry.since, id);
+            self.classes[entry.class() as usize].remove(entry.peer, entry.rank(), id);
             entry.is_leaving = true;
             // These bytes are freed within milliseconds. Counting them on would evict connections that hold little.
             self.held_bytes -= entry.held_bytes;
@@ -253,31 +277,33 @@ impl Table {
         }
     }
 
-    /// Changes an entry and moves it to its new class. An idle connection beyond the bound evicts another.
+    /// Changes an entry whose client has sent something, and moves it to its new class. An idle connection beyond the
+    /// bound evicts another.
     fn change(&mut self, id: Id, change: impl FnOnce(&mut Entry)) {
         let Some(entry) = self.entries.get_mut(&id) else { return };
-        let (class, since) = (entry.class(), entry.since);
+        let (class, rank) = (entry.class(), entry.rank());
+        entry.is_silent = false;
         change(entry);
         if entry.is_leaving {
             return;
         }
-        let (peer, after, now) = (entry.peer, entry.class(), entry.since);
-        self.classes[class as usize].remove(peer, since, id);
+        let (peer, after, new_rank) = (entry.peer, entry.class(), entry.rank());
+        self.classes[class as usize].remove(peer, rank, id);
         if after != class && after.when_full() == WhenFull::Evict {
             self.make_room(after, peer);
         }
-        self.classes[after as usize].insert(peer, now, id);
+        self.classes[after as usize].insert(peer, new_rank, id);
     }
 }
 
 impl Members {
-    fn insert(&mut self, peer: Peer, since: Instant, id: Id) {
-        self.count += usize::from(self.peers.entry(peer).or_default().insert((since, id)));
+    fn insert(&mut self, peer: Peer, rank: Instant, id: Id) {
+        self.count += usize::from(self.peers.entry(peer).or_default().insert((rank, id)));
     }
 
-    fn remove(&mut self, peer: Peer, since: Instant, id: Id) {
+    fn remove(&mut self, peer: Peer, rank: Instant, id: Id) {
         if let Some(ids) = self.peers.get_mut(&peer) {
-            self.count -= usize::from(ids.remove(&(since, id)));
+            self.count -= usize::from(ids.remove(&(rank, id)));
             if ids.is_empty() {
                 self.peers.remove(&peer);
             }

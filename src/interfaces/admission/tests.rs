@@ -33,6 +33,42 @@ fn oldest_half_sent_request_gives_way() {
 }
 
 #[test]
+fn silent_connection_is_spared_before_newer_half_sent_ones_for_a_moment() {
+    let (mut table, start) = (Table::new(Bounds::narrow().with(Class::Incoming, 2)), Instant::now());
+    let mut admit = |after_ms, is_silent: bool| {
+        let evicted = CancellationToken::new();
+        let id = table.admit(HERE, start + Duration::from_millis(after_ms), evicted.clone());
+        if !is_silent {
+            table.begun(id);
+        }
+        evicted
+    };
+    let (silent, half_sent) = (admit(0, true), admit(4, false));
+    let next = admit(4, false);
+    assert!(half_sent.is_cancelled() && !silent.is_cancelled(), "a FAST STOP may follow");
+    admit(6, false);
+    assert!(next.is_cancelled() && !silent.is_cancelled());
+    admit(7, false);
+    assert!(silent.is_cancelled());
+}
+
+#[tokio::test]
+async fn silent_connections_are_not_displaced_at_once() {
+    let admission = Admission::new(Bounds { displaced: 1, ..Bounds::narrow() });
+    let _silent = admit(&admission, HERE);
+    admission.has_room_for_silent().await;
+    let displaced = admission.displaced().unwrap();
+    let begun = Instant::now();
+    let silent = admit(&admission, HERE);
+    admission.has_room_for_silent().await;
+    assert!(begun.elapsed() >= Duration::from_millis(5), "{:?}", begun.elapsed());
+    // One that has sent something gives way at once.
+    silent.begun();
+    assert!(!admission.table().is_full_of_silent(begun));
+    drop(displaced);
+}
+
+#[test]
 fn request_being_answered_is_kept_and_idle_again_afterwards() {
     let admission = small();
     let first = admit(&admission, HERE);

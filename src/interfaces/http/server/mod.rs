@@ -91,6 +91,8 @@ impl Server {
                 let has_room = timeout(ROOM_WITHIN, self.admission.has_room()).await.is_ok();
                 stalled_at = (!has_room).then(Instant::now);
             }
+            // New connections wait in the kernel, where their first bytes arrive meanwhile.
+            self.admission.has_room_for_silent().await;
             let accepted = tokio::select! {
                 biased;
                 accepted = listener.accept() => accepted,
@@ -188,6 +190,9 @@ impl Server {
             }
         };
         if let Some(begun) = begun {
+            if !begun.is_fast_stop {
+                permit.begun();
+            }
             self.serve(begun, peer, permit, connected);
         }
     }
