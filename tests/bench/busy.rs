@@ -40,15 +40,22 @@ fn main() -> Result<(), Error> {
             }
         });
     }
-    let count = number("STOPS", 40);
+    let count = number("STOPS", 40).max(1);
     let (mut by_http, mut by_socket) = (Vec::new(), Vec::new());
-    for round in 0..WARM_UP + count {
-        let http = stopper.stop()?;
+    let stop_by_socket = || {
         // A fresh socket for each stop: pings go unanswered while this client only sends.
-        let url = format!("ws://{address}/api/v1/ws");
-        let (mut socket, _) = stopper.runtime.block_on(connect_async(url))?;
+        let (mut socket, _) = stopper.runtime.block_on(connect_async(format!("ws://{address}/api/v1/ws")))?;
         let request = json!({"jsonrpc": "2.0", "id": 1, "method": "fast-stop", "params": {"gripper": "g"}}).to_string();
-        let socket = stopper.stop_by(|| Ok(stopper.runtime.block_on(socket.send(Message::text(request)))?))?;
+        stopper.stop_by(|| Ok(stopper.runtime.block_on(socket.send(Message::text(request)))?))
+    };
+    for round in 0..WARM_UP + count {
+        let (http, socket) = if round % 2 == 0 {
+            let http = stopper.stop()?;
+            (http, stop_by_socket()?)
+        } else {
+            let socket = stop_by_socket()?;
+            (stopper.stop()?, socket)
+        };
         if round >= WARM_UP {
             by_http.push(http);
             by_socket.push(socket);

@@ -115,7 +115,7 @@ fn main() -> Result<(), Error> {
 
     let (observers, stalled, seconds) = (number("OBSERVERS", 1000), number("STALLED", 100), number("SECONDS", 10));
     println!("{observers} observers at {} Hz, {stalled} of them stalled, with a flood", number("HZ", 50));
-    let count = number("STOPS", 200);
+    let count = number("STOPS", 200).max(1);
     let idle = stops(&stopper, count)?;
     let before = gateway.memory()?;
     let mut crowd = Crowd::start("websocket", &address)?;

@@ -14,6 +14,9 @@ const MOVES_FOR: Duration = Duration::from_millis(100);
 /// Speed at which the fingers move for longer than a fan-out.
 const SLOW_MM_S: f64 = 5.0;
 
+/// Limit of a wait for a state.
+const WAITS_FOR: Duration = Duration::from_secs(10);
+
 pub struct Stopper {
     pub runtime: Runtime,
     http: reqwest::Client,
@@ -30,7 +33,7 @@ impl Stopper {
         // The gateway closes an idle connection after 10 s.
         let http = reqwest::Client::builder().pool_idle_timeout(Duration::from_secs(1)).build()?;
         let stopper = Self { runtime, http, base: format!("http://{address}/api/v1/grippers/g"), stops };
-        while stopper.state()?["link"] != "connected" {}
+        stopper.until("the gripper is connected", |state| state["link"] == "connected")?;
         stopper.post("home", &json!({}))?;
         Ok(stopper)
     }
@@ -43,6 +46,19 @@ impl Stopper {
     fn state(&self) -> Result<Value, Error> {
         let url = format!("{}/state", self.base);
         Ok(self.runtime.block_on(async { self.http.get(url).send().await?.json().await })?)
+    }
+
+    /// Returns the first state for which `condition` holds.
+    fn until(&self, what: &str, condition: impl Fn(&Value) -> bool) -> Result<Value, Error> {
+        let deadline = Instant::now() + WAITS_FOR;
+        while Instant::now() < deadline {
+            let state = self.state()?;
+            if condition(&state) {
+                return Ok(state);
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        Err(format!("not in time: {what}").into())
     }
 
     /// Begins a slow motion towards the farther end, unless one is still running.
@@ -64,13 +80,8 @@ impl Stopper {
         let begun = Instant::now();
         request()?;
         let reached = self.stops.recv_timeout(Duration::from_secs(5))?;
-        let id = loop {
-            let state = self.state()?;
-            if state["fast_stop_confirmed"] == true {
-                break state["fast_stop_id"].clone();
-            }
-        };
-        let acknowledged = self.post("acknowledge", &json!({"fast_stop_id": id}))?;
+        let stopped = self.until("the FAST STOP is confirmed", |state| state["fast_stop_confirmed"] == true)?;
+        let acknowledged = self.post("acknowledge", &json!({"fast_stop_id": stopped["fast_stop_id"]}))?;
         if acknowledged["fast_stop"] != false {
             return Err(format!("not acknowledged: {acknowledged}").into());
         }

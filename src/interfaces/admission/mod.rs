@@ -11,6 +11,7 @@
 
 mod bounds;
 mod metrics;
+mod patience;
 mod table;
 
 use std::net::IpAddr;
@@ -19,21 +20,18 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use tokio::sync::{Notify, OwnedSemaphorePermit, Semaphore};
-use tokio::time::sleep;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 use tokio_util::task::task_tracker::TaskTrackerToken;
 
 pub use bounds::{Bounds, Class};
 pub use metrics::Usage;
+pub use patience::Patience;
 use table::{Id, Table};
 
 /// Time for an evicted connection to deliver its response, also to a FAST STOP whose first bytes arrived before the
 /// eviction.
 const LINGER: Duration = Duration::from_millis(100);
-
-/// Interval of looking for a slot for a silent connection.
-const LOOK_EVERY: Duration = Duration::from_millis(1);
 
 /// Extra slots for connections whose first line has arrived. They leave their slot within microseconds, so their
 /// descriptors are among those that the gateway keeps for itself.
@@ -66,7 +64,7 @@ impl Admission {
     /// Admits a connection as [`Class::Incoming`]. Cancelling `closing` evicts the connection, too.
     pub fn admit(self: &Arc<Self>, peer: IpAddr, closing: &CancellationToken) -> ConnectionPermit {
         let evicted = closing.child_token();
-        let id = self.table().admit(peer, Instant::now(), evicted.clone());
+        let id = self.table().admit(peer, now(), evicted.clone());
         let tracked = self.tracker.token();
         ConnectionPermit { id, evicted, has_served: AtomicBool::new(false), admission: self.clone(), _tracked: tracked }
     }
@@ -82,12 +80,11 @@ impl Admission {
         }
     }
 
-    /// Waits for a moment while one more connection would evict one that has had no time to send its first bytes, and
-    /// that has no other slot.
-    pub async fn has_room_for_silent(&self) {
-        while self.displaced.available_permits() == 0 && self.table().is_full_of_silent(Instant::now()) {
-            sleep(LOOK_EVERY).await;
-        }
+    /// Whether one more connection would evict one that has had no time to send its first bytes, and that would find no
+    /// displaced slot. Evicted connections that are still ending may each take such a slot.
+    fn would_displace(&self) -> bool {
+        let table = self.table();
+        !table.is_crowded() && table.is_full_of_silent(now()) && self.displaced.available_permits() <= table.leaving()
     }
 
     /// Whether so many evicted connections are still ending that no further connection is admitted.
@@ -122,6 +119,11 @@ impl Admission {
     fn table(&self) -> MutexGuard<'_, Table> {
         self.table.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+/// Returns the time by tokio's clock, which tests can pause.
+fn now() -> Instant {
+    tokio::time::Instant::now().into_std()
 }
 
 /// A connection's slot, held until the permit is dropped.
@@ -160,19 +162,19 @@ impl ConnectionPermit {
         if self.admission.table().is_half_crowded(leaving) { Duration::ZERO } else { LINGER }
     }
 
-    /// Marks that the first bytes have arrived, and are not those of a FAST STOP.
+    /// Marks that the first bytes have arrived, unless they may be those of a FAST STOP.
     pub fn begun(&self) {
         self.admission.table().begun(self.id);
     }
 
     /// Marks this connection as the newest idle one, because its client sent something.
     pub fn heard(&self) {
-        self.admission.table().heard(self.id, Instant::now());
+        self.admission.table().heard(self.id, now());
     }
 
     /// Marks that a request has begun to arrive. The connection has no claim until the request is complete.
     pub fn receiving(&self) {
-        self.admission.table().receiving(self.id, Instant::now());
+        self.admission.table().receiving(self.id, now());
     }
 
     /// Marks that the client exceeded its share. Until its next request is answered, the connection gives way like a
@@ -186,7 +188,7 @@ impl ConnectionPermit {
     pub fn claim(self: &Arc<Self>, class: Class) -> Option<Claim> {
         self.has_served.store(true, Ordering::Relaxed);
         let yielded = CancellationToken::new();
-        self.admission.table().claim(self.id, class, Instant::now(), &yielded)?;
+        self.admission.table().claim(self.id, class, now(), &yielded)?;
         if matches!(class, Class::Waiting | Class::Streaming) {
             // The connection has left its former class.
             self.admission.released.notify_one();
@@ -239,7 +241,7 @@ impl Claim {
 
 impl Drop for Claim {
     fn drop(&mut self) {
-        self.permit.admission.table().release(self.permit.id, self.class, Instant::now());
+        self.permit.admission.table().release(self.permit.id, self.class, now());
         self.permit.admission.released.notify_one();
     }
 }

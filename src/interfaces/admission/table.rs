@@ -15,9 +15,9 @@ pub(super) type Id = u64;
 /// One peer: an IPv4 address, or an IPv6 /64 network, since one machine can use all of its addresses.
 type Peer = IpAddr;
 
-/// Time in which a connection that has sent nothing yet takes precedence over others, because it may still bring a FAST
-/// STOP. A client sends its first bytes within a millisecond, unless its machine is busy.
-const SILENT_FOR: Duration = Duration::from_millis(5);
+/// Advantage in rank of a connection that has sent nothing yet, because it may still bring a FAST STOP. A client sends
+/// its first bytes within a millisecond, unless its machine is busy.
+pub(super) const SILENT_FOR: Duration = Duration::from_millis(5);
 
 #[derive(Debug)]
 pub(super) struct Table {
@@ -45,7 +45,7 @@ struct Entry {
     peer: Peer,
     /// Class of the connection while it has no claim: [`Class::Incoming`] or [`Class::Idle`].
     base: Class,
-    /// Whether nothing has arrived on the connection yet.
+    /// Whether no bytes have been seen yet, apart from those of a FAST STOP.
     is_silent: bool,
     /// Whether the client exceeded its share: without a claim its connection is [`Class::Incoming`], even when idle.
     is_demoted: bool,
@@ -182,7 +182,6 @@ impl Table {
         self.evicted
     }
 
-    /// Whether so many evicted connections are still ending that no new one is admitted.
     /// Whether one more connection would evict one that has had no time to send its first bytes.
     pub(super) fn is_full_of_silent(&self, now: Instant) -> bool {
         let is_full = self.classes[Class::Incoming as usize].count >= self.bounds.of_class(Class::Incoming);
@@ -190,6 +189,12 @@ impl Table {
         next.is_some_and(|entry| entry.is_silent && entry.rank() > now)
     }
 
+    /// Number of evicted connections that are still ending.
+    pub(super) fn leaving(&self) -> usize {
+        self.leaving
+    }
+
+    /// Whether so many evicted connections are still ending that no new one is admitted.
     pub(super) fn is_crowded(&self) -> bool {
         self.leaving >= self.bounds.leaving
     }
@@ -277,8 +282,8 @@ impl Table {
         }
     }
 
-    /// Changes an entry whose client has sent something, and moves it to its new class. An idle connection beyond the
-    /// bound evicts another.
+    /// Changes an entry that is not silent any more, and moves it to its new class. An idle connection beyond the bound
+    /// evicts another.
     fn change(&mut self, id: Id, change: impl FnOnce(&mut Entry)) {
         let Some(entry) = self.entries.get_mut(&id) else { return };
         let (class, rank) = (entry.class(), entry.rank());

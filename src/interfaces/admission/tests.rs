@@ -52,20 +52,32 @@ fn silent_connection_is_spared_before_newer_half_sent_ones_for_a_moment() {
     assert!(silent.is_cancelled());
 }
 
-#[tokio::test]
-async fn silent_connections_are_not_displaced_at_once() {
+#[tokio::test(start_paused = true)]
+async fn listener_waits_for_silent_connections_a_fifth_of_the_time() {
     let admission = Admission::new(Bounds { displaced: 1, ..Bounds::narrow() });
-    let _silent = admit(&admission, HERE);
-    admission.has_room_for_silent().await;
-    let displaced = admission.displaced().unwrap();
-    let begun = Instant::now();
+    let mut patience = Patience::default();
+    let mut waits = async || {
+        let begun = tokio::time::Instant::now();
+        patience.wait(&admission).await;
+        begun.elapsed()
+    };
     let silent = admit(&admission, HERE);
-    admission.has_room_for_silent().await;
-    assert!(begun.elapsed() >= Duration::from_millis(5), "{:?}", begun.elapsed());
-    // One that has sent something gives way at once.
-    silent.begun();
-    assert!(!admission.table().is_full_of_silent(begun));
-    drop(displaced);
+    assert_eq!(waits().await, Duration::ZERO, "the silent connection would find a displaced slot");
+    let _displaced = admission.displaced().unwrap();
+    let first = waits().await;
+    assert!(first >= table::SILENT_FOR && first < 2 * table::SILENT_FOR, "{first:?}");
+    drop(silent);
+    let silent = admit(&admission, HERE);
+    assert_eq!(waits().await, Duration::ZERO, "rests");
+    drop(silent);
+    tokio::time::advance(4 * first).await;
+    let silent = admit(&admission, HERE);
+    assert!(waits().await >= table::SILENT_FOR, "has rested");
+    drop(silent);
+    tokio::time::advance(4 * first).await;
+    let heard = admit(&admission, HERE);
+    heard.begun();
+    assert_eq!(waits().await, Duration::ZERO, "a connection that has sent something gives way at once");
 }
 
 #[test]

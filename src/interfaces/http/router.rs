@@ -60,8 +60,9 @@ async fn around(
 /// Runs the steps that only an admitted request reaches.
 async fn admitted(context: &HttpContext, request: Request, next: Next) -> Response {
     rights::check(context, request, async |request| {
+        let (method, uri) = (request.method().clone(), request.uri().clone());
         let served = turn::read_first(request, async |request| next.run(request).await);
-        AssertUnwindSafe(served).catch_unwind().await.unwrap_or_else(|_| panicked())
+        AssertUnwindSafe(served).catch_unwind().await.unwrap_or_else(|_| panicked(&method, uri.path()))
     })
     .await
 }
@@ -188,7 +189,7 @@ async fn method_not_allowed(method: Verb) -> Problem {
 }
 
 /// Answers a request whose handler panicked, so that a bug ends one request and not the gateway.
-fn panicked() -> Response {
-    tracing::error!("a request handler panicked");
+fn panicked(method: &Verb, path: &str) -> Response {
+    tracing::error!(%method, path, "a request handler panicked");
     Problem::internal().into_response()
 }

@@ -24,7 +24,7 @@ use super::fast_stop::may_be_fast_stop;
 use super::handshakes::Handshakes;
 use super::router::router;
 use super::settings::HttpSettings;
-use crate::interfaces::admission::{Admission, ConnectionPermit, Usage};
+use crate::interfaces::admission::{Admission, ConnectionPermit, Patience, Usage};
 use crate::interfaces::metrics::Connected;
 use connection::Server;
 pub use connection::ServerLimits;
@@ -83,7 +83,7 @@ pub async fn serve(listeners: Listeners, context: Arc<HttpContext>, limits: Serv
 
 impl Server {
     async fn accept_all(self: &Arc<Self>, mut listeners: Listeners) {
-        let mut stalled_at: Option<Instant> = None;
+        let (mut stalled_at, mut patience) = (None::<Instant>, Patience::default());
         let mut listener = listeners.borrow_and_update().clone();
         loop {
             // Evicted connections usually end at once.
@@ -91,8 +91,7 @@ impl Server {
                 let has_room = timeout(ROOM_WITHIN, self.admission.has_room()).await.is_ok();
                 stalled_at = (!has_room).then(Instant::now);
             }
-            // New connections wait in the kernel, where their first bytes arrive meanwhile.
-            self.admission.has_room_for_silent().await;
+            patience.wait(&self.admission).await;
             let accepted = tokio::select! {
                 biased;
                 accepted = listener.accept() => accepted,
