@@ -4,6 +4,7 @@
 //! `cargo bench --bench busy`. Variables: `LOOPS` (8) and `STOPS` (40 of each kind). Times are noisy; compare the ratio.
 
 mod program;
+mod socket;
 mod stopper;
 mod tap;
 mod variables;
@@ -16,8 +17,8 @@ use std::time::Duration;
 use futures_util::SinkExt as _;
 use program::{Error, start};
 use serde_json::json;
+use socket::connect;
 use stopper::{Stopper, percentile};
-use tokio_tungstenite::connect_async;
 use tokio_tungstenite::tungstenite::Message;
 use variables::number;
 
@@ -44,7 +45,7 @@ fn main() -> Result<(), Error> {
     let (mut by_http, mut by_socket) = (Vec::new(), Vec::new());
     let stop_by_socket = || {
         // A fresh socket for each stop: pings go unanswered while this client only sends.
-        let (mut socket, _) = stopper.runtime.block_on(connect_async(format!("ws://{address}/api/v1/ws")))?;
+        let mut socket = stopper.runtime.block_on(connect(&address, None))?;
         let request = json!({"jsonrpc": "2.0", "id": 1, "method": "fast-stop", "params": {"gripper": "g"}}).to_string();
         stopper.stop_by(|| Ok(stopper.runtime.block_on(socket.send(Message::text(request)))?))
     };

@@ -14,6 +14,7 @@
 mod crowd;
 mod directory;
 mod program;
+mod socket;
 mod stopper;
 mod tap;
 mod usage;

@@ -8,16 +8,11 @@ use std::time::Duration;
 use futures_util::{SinkExt, StreamExt};
 use rumqttc::{AsyncClient, Event, MqttOptions, Packet, QoS};
 use serde_json::{Value, json};
-use tokio::net::{TcpSocket, TcpStream};
 use tokio_tungstenite::tungstenite::Message;
-use tokio_tungstenite::tungstenite::client::IntoClientRequest;
-use tokio_tungstenite::tungstenite::http::HeaderValue;
-use tokio_tungstenite::{WebSocketStream, client_async};
 
 use super::Error;
+use super::socket::{Socket, connect};
 use super::variables::number;
-
-type Socket = WebSocketStream<TcpStream>;
 
 /// A telemetry notification, as long as the gateway's.
 const PAYLOAD: &str = r#"{"jsonrpc":"2.0","method":"telemetry","params":{"gripper":"g","seq":12345,"at":"2026-11-21T16:00:00.123Z","width_mm":null,"speed_mm_s":0.0,"force_n":0.0,"state":"IDLE","flags_raw":262144}}"#;
@@ -90,18 +85,6 @@ pub fn run(what: &str, address: &str) -> Result<(), Error> {
 
 fn tell(role: &str, ended: &Result<(), Error>) {
     eprintln!("{role} ended: {ended:?}");
-}
-
-async fn connect(address: &str, buffer: Option<u32>) -> Result<Socket, Error> {
-    let tcp = TcpSocket::new_v4()?;
-    if let Some(bytes) = buffer {
-        tcp.set_recv_buffer_size(bytes)?;
-    }
-    let tcp = tcp.connect(address.parse()?).await?;
-    tcp.set_nodelay(true)?;
-    let mut request = format!("ws://{address}/api/v1/ws").into_client_request()?;
-    request.headers_mut().insert("Sec-WebSocket-Protocol", HeaderValue::from_static("wsg.v1"));
-    Ok(client_async(request, tcp).await?.0)
 }
 
 async fn subscribe(socket: &mut Socket) -> Result<i64, Error> {
