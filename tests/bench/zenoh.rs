@@ -27,6 +27,9 @@ use zenoh::qos::{CongestionControl, Priority};
 /// Telemetry rate of the gateway.
 const HZ: u64 = 50;
 
+/// Speed of the fingers: the stroke takes 20 s.
+const SLOW_MM_S: f64 = 5.0;
+
 /// Payload size of the flood, similar to a state.
 const FLOOD_BYTES: usize = 700;
 
@@ -90,6 +93,24 @@ impl Stopper {
         Ok(serde_json::from_slice(&reply.payload().to_bytes())?)
     }
 
+    /// Returns the first state for which `condition` holds.
+    fn until(&self, condition: impl Fn(&Value) -> bool) -> Result<Value, Error> {
+        loop {
+            let state = self.ask("state", &json!({}))?;
+            if condition(&state) {
+                return Ok(state);
+            }
+        }
+    }
+
+    /// Begins a motion that lasts longer than a measurement, so that the gripper sends updates at the full rate.
+    fn begin_motion(&self) -> Result<(), Error> {
+        let at_rest = self.until(|state| state["moving"] == false)?;
+        let width_mm = if at_rest["width_mm"].as_f64().ok_or("no width")? > 55.0 { 5.0 } else { 105.0 };
+        self.ask("command/move", &json!({"width_mm": width_mm, "speed_mm_s": SLOW_MM_S}))?;
+        self.until(|state| state["moving"] == true).map(drop)
+    }
+
     /// Returns the time from the put until the device has the frame.
     fn stop(&self) -> Result<Duration, Error> {
         while self.stops.try_recv().is_ok() {}
@@ -97,12 +118,7 @@ impl Stopper {
         let put = self.session.put("wsg/v1/fast-stop", "a bench").priority(Priority::RealTime).express(true);
         put.congestion_control(CongestionControl::Block).wait()?;
         let reached = self.stops.recv_timeout(Duration::from_secs(20)).map_err(|_| "no FAST STOP within 20 s")?;
-        let stopped = loop {
-            let state = self.ask("state", &json!({}))?;
-            if state["fast_stop_confirmed"] == true {
-                break state;
-            }
-        };
+        let stopped = self.until(|state| state["fast_stop_confirmed"] == true)?;
         self.ask("command/acknowledge", &json!({"fast_stop_id": stopped["fast_stop_id"]}))?;
         Ok(reached - begun)
     }
@@ -129,9 +145,16 @@ fn main() -> Result<(), Error> {
     let arguments = ["--listen", &http, "--zenoh-listen", "tcp/127.0.0.1:0", "--gripper", &gripper];
     let (_gateway, endpoint) = start(&arguments, "Zenoh: ")?;
 
+    let stopper = Stopper { session: zenoh::open(config("client", &[], &[&endpoint])?).wait()?, stops };
+    stopper.until(|state| state["link"] == "connected")?;
+    stopper.ask("command/home", &json!({}))?;
+    stopper.until(|state| state["referenced"] == true)?;
+
+    stopper.begin_motion()?;
     let by_zenoh = subscribers::zenoh(subscribers, &endpoint, "wsg/v1/gateway/g/telemetry")?;
     let zenoh = measure("Zenoh", &by_zenoh.0, subscribers);
     drop(by_zenoh);
+    stopper.begin_motion()?;
     let by_websocket = subscribers::websocket(subscribers, &http)?;
     let websocket = measure("WebSocket", &by_websocket.0, subscribers);
     drop(by_websocket);
@@ -146,8 +169,6 @@ fn main() -> Result<(), Error> {
     }
 
     let crowd = subscribers::zenoh(subscribers, &endpoint, "wsg/v1/**")?;
-    let stopper = Stopper { session: zenoh::open(config("client", &[], &[&endpoint])?).wait()?, stops };
-    while stopper.ask("state", &json!({}))?["link"] != "connected" {}
     stopper.stops(10)?;
     let count = number("STOPS", 100);
     let idle = stopper.stops(count)?;
