@@ -185,7 +185,7 @@ impl Table {
     /// Whether one more connection would evict one that has had no time to send its first bytes.
     pub(super) fn is_full_of_silent(&self, now: Instant) -> bool {
         let is_full = self.classes[Class::Incoming as usize].count >= self.bounds.of_class(Class::Incoming);
-        let next = self.greediest(Class::Incoming).filter(|_| is_full).and_then(|id| self.entries.get(&id));
+        let next = is_full.then(|| self.greediest(Class::Incoming)).flatten().and_then(|id| self.entries.get(&id));
         next.is_some_and(|entry| entry.is_silent && entry.rank() > now)
     }
 
