@@ -11,6 +11,7 @@ pub mod dashboard;
 pub mod http;
 pub mod metrics;
 pub mod modbus;
+mod on_demand;
 mod pace;
 pub mod peers;
 mod quick_ack;

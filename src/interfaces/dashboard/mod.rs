@@ -1,7 +1,7 @@
 //! The dashboard: a page embedded in the program, which uses only the public WebSocket and REST interfaces.
 //!
-//! There is no build step: at the start, the gateway joins the modules into two scripts and the styles into one, and
-//! compresses them. Their paths contain a hash of all assets, so that a browser caches them until one changes, and asks
+//! There is no build step: when a browser first loads the page, the gateway joins the modules into two scripts and the
+//! styles into one, and compresses them. Their paths contain a hash of all assets, so that a browser caches them until one changes, and asks
 //! only for the page. The content security policy allows no other origin, and no inline script or style.
 //! `tests/browser/vendor` fetches the libraries in `vendor/`.
 
@@ -28,6 +28,7 @@ use headers::{ETag, HeaderMapExt, IfNoneMatch};
 use rust_embed::{Embed, EmbeddedFile};
 use sha2::{Digest, Sha256};
 
+use crate::interfaces::on_demand::OnDemand;
 use crate::operations::Problem;
 use bundle::Bundle;
 
@@ -84,24 +85,25 @@ const PERMISSIONS: (HeaderName, HeaderValue) = (
 const VERSION_DIGITS: usize = 16;
 
 /// A file in plain and, if that is smaller, compressed form.
-#[derive(Debug)]
 struct Content {
     media_type: HeaderValue,
     plain: Bytes,
-    gzip: Option<Bytes>,
+    gzip: OnDemand<Option<Bytes>>,
 }
 
 impl Content {
     fn new(media_type: &'static str, text: String) -> Self {
         let plain = Bytes::from(text);
-        Self { media_type: HeaderValue::from_static(media_type), gzip: compressed(&plain), plain }
+        let uncompressed = plain.clone();
+        let gzip = OnDemand::new(move || compressed(&uncompressed));
+        Self { media_type: HeaderValue::from_static(media_type), plain, gzip }
     }
 
     /// Returns a response in a form that the client accepts.
-    fn response(&self, headers: &HeaderMap, caching: &'static str) -> Response {
+    async fn response(&self, headers: &HeaderMap, caching: &'static str) -> Response {
         let accepts = headers.get(ACCEPT_ENCODING).and_then(|value| value.to_str().ok()).unwrap_or_default();
         let takes_gzip = accepts.split(',').any(|coding| coding.trim() == "gzip");
-        let gzip = self.gzip.as_ref().filter(|_| takes_gzip);
+        let gzip = if takes_gzip { self.gzip.get().await.ok().and_then(Option::as_ref) } else { None };
         let body = gzip.unwrap_or(&self.plain).clone();
         let caching = HeaderValue::from_static(caching);
         let mut response = ([(CONTENT_TYPE, self.media_type.clone()), (CACHE_CONTROL, caching)], body).into_response();
@@ -141,12 +143,12 @@ pub fn page<S: Clone + Send + Sync + 'static>() -> Router<S> {
     let page = text(PAGE).replace("{version}", &version);
     let etag = format!("\"{}\"", hex::encode(Sha256::digest(page.as_bytes())));
     let page = Arc::new(Content::new("text/html; charset=utf-8", page));
-    let files = Arc::new(joined());
+    let files = Arc::new(OnDemand::new(joined));
     Router::new()
         .route(
             "/",
             routing::get(async move |policy: Extension<FramePolicy>, headers: HeaderMap| {
-                index(&page, &etag, &policy, &headers)
+                index(&page, &etag, &policy, &headers).await
             }),
         )
         .route("/favicon.ico", routing::get(async || asset("icon.svg", "no-cache")))
@@ -155,9 +157,12 @@ pub fn page<S: Clone + Send + Sync + 'static>() -> Router<S> {
             routing::get(async move |Path((of, path)): Path<(String, String)>, headers: HeaderMap| {
                 const CACHING: &str = "public, max-age=31536000, immutable";
                 if *of != *version {
-                    return missing();
+                    return Err(missing());
                 }
-                files.get(&*path).map_or_else(|| asset(&path, CACHING), |file| file.response(&headers, CACHING))
+                match files.get().await?.get(&*path) {
+                    Some(file) => Ok(file.response(&headers, CACHING).await),
+                    None => asset(&path, CACHING),
+                }
             }),
         )
 }
@@ -178,14 +183,14 @@ fn version() -> String {
     digits
 }
 
-fn index(page: &Content, etag: &str, FramePolicy(policy): &FramePolicy, headers: &HeaderMap) -> Response {
+async fn index(page: &Content, etag: &str, FramePolicy(policy): &FramePolicy, headers: &HeaderMap) -> Response {
     // A quoted hash is always a valid tag.
     let etag: Option<ETag> = etag.parse().ok();
     let is_known = etag
         .as_ref()
         .zip(headers.typed_get::<IfNoneMatch>())
         .is_some_and(|(etag, known)| !known.precondition_passes(etag));
-    let mut response = page.response(headers, "no-cache");
+    let mut response = page.response(headers, "no-cache").await;
     if is_known {
         *response.status_mut() = StatusCode::NOT_MODIFIED;
         *response.body_mut() = Body::empty();
@@ -202,15 +207,15 @@ fn index(page: &Content, etag: &str, FramePolicy(policy): &FramePolicy, headers:
     response
 }
 
-fn asset(path: &str, caching: &'static str) -> Response {
-    let Some(EmbeddedFile { data, metadata, .. }) = Assets::get(path) else { return missing() };
+fn asset(path: &str, caching: &'static str) -> Result<Response, Problem> {
+    let EmbeddedFile { data, metadata, .. } = Assets::get(path).ok_or_else(missing)?;
     let content_type = HeaderValue::from_str(metadata.mimetype());
     let content_type = content_type.unwrap_or(HeaderValue::from_static("application/octet-stream"));
-    ([(CONTENT_TYPE, content_type), (CACHE_CONTROL, HeaderValue::from_static(caching))], data).into_response()
+    Ok(([(CONTENT_TYPE, content_type), (CACHE_CONTROL, HeaderValue::from_static(caching))], data).into_response())
 }
 
-fn missing() -> Response {
-    Problem::not_found("such part of the dashboard: load the page again").into_response()
+fn missing() -> Problem {
+    Problem::not_found("such part of the dashboard: load the page again")
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! The OpenAPI document and the page that shows it. Both are part of this program, for sites without internet access.
 
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 
 use axum::Extension;
 use axum::body::Bytes;
@@ -16,6 +16,7 @@ use utoipa::openapi::{OpenApi, RefOr, Schema};
 use super::asyncapi as websocket;
 use super::paths::responses;
 use super::visitor::SESSION_COOKIE;
+use crate::interfaces::on_demand::OnDemand;
 use crate::journal::{EventKind, Order};
 use crate::operations::records::GripKinds;
 use crate::operations::statistics::MeasuredGrips;
@@ -89,8 +90,8 @@ pub fn without_null_bodies(document: &mut OpenApi) {
     get, path = "/openapi.json", operation_id = "openapi", tag = "gateway",
     responses((status = 200, description = "This document", body = serde_json::Value), responses::AnyProblem)
 )]
-pub async fn openapi(Extension(documents): Extension<Arc<Documents>>) -> impl IntoResponse {
-    ([(CONTENT_TYPE, "application/json")], documents.openapi())
+pub async fn openapi(Extension(documents): Extension<Arc<Documents>>) -> Result<impl IntoResponse, Problem> {
+    Ok(([(CONTENT_TYPE, "application/json")], documents.openapi.get().await?.clone()))
 }
 
 /// Get the AsyncAPI document
@@ -100,29 +101,23 @@ pub async fn openapi(Extension(documents): Extension<Arc<Documents>>) -> impl In
     get, path = "/asyncapi.yaml", operation_id = "asyncapi", tag = "gateway",
     responses((status = 200, description = "The document", body = serde_json::Value, content_type = "application/yaml"), responses::AnyProblem)
 )]
-pub async fn asyncapi(Extension(documents): Extension<Arc<Documents>>) -> impl IntoResponse {
-    ([(CONTENT_TYPE, "application/yaml")], documents.asyncapi())
+pub async fn asyncapi(Extension(documents): Extension<Arc<Documents>>) -> Result<impl IntoResponse, Problem> {
+    Ok(([(CONTENT_TYPE, "application/yaml")], documents.asyncapi.get().await?.clone()))
 }
 
 /// The API's documents, encoded once and shared by all responses.
 pub struct Documents {
-    openapi: Value,
-    openapi_json: OnceLock<Bytes>,
-    asyncapi_yaml: OnceLock<Bytes>,
+    openapi: OnDemand<Bytes>,
+    asyncapi: OnDemand<Bytes>,
 }
 
 impl Documents {
-    pub fn new(openapi: Value) -> Self {
-        Self { openapi, openapi_json: OnceLock::new(), asyncapi_yaml: OnceLock::new() }
-    }
-
-    fn openapi(&self) -> Bytes {
-        let json = || serde_json::to_vec(&self.openapi).unwrap_or_default().into();
-        self.openapi_json.get_or_init(json).clone()
-    }
-
-    fn asyncapi(&self) -> Bytes {
-        self.asyncapi_yaml.get_or_init(|| websocket::yaml(&self.openapi).unwrap_or_default().into()).clone()
+    /// Encodes the OpenAPI document that `openapi` returns, and the AsyncAPI document made from it.
+    pub fn new(openapi: fn() -> Value) -> Self {
+        Self {
+            openapi: OnDemand::new(move || serde_json::to_vec(&openapi()).unwrap_or_default().into()),
+            asyncapi: OnDemand::new(move || websocket::yaml(&openapi()).unwrap_or_default().into()),
+        }
     }
 }
 

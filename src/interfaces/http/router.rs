@@ -13,7 +13,7 @@ use axum::http::Method as Verb;
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use axum::routing::{any, post};
-use axum::{Router, middleware};
+use axum::{Extension, Router, middleware};
 use futures_util::FutureExt as _;
 use serde_json::Value;
 use tokio::sync::Semaphore;
@@ -30,19 +30,12 @@ use crate::interfaces::dashboard;
 use crate::operations::{Code, Problem};
 
 pub fn router(context: &Arc<HttpContext>) -> Router {
-    let (routes, document) = routes().split_for_parts();
-    let documents = Arc::new(docs::Documents::new(completed(&document)));
-    let state = (context.clone(), documents);
-    routes.layer(middleware::from_fn_with_state(state, around)).with_state(context.clone())
+    let (routes, _) = routes().split_for_parts();
+    routes.layer(middleware::from_fn_with_state(context.clone(), around)).with_state(context.clone())
 }
 
 /// Runs the steps around a request, outermost first.
-async fn around(
-    State((context, documents)): State<(Arc<HttpContext>, Arc<docs::Documents>)>,
-    mut request: Request,
-    next: Next,
-) -> Response {
-    request.extensions_mut().insert(documents);
+async fn around(State(context): State<Arc<HttpContext>>, request: Request, next: Next) -> Response {
     let settings = context.settings.get();
     access_log::watch(&context, request, async |request| {
         let response = audit::record(&context, request, async |request| {
@@ -109,11 +102,17 @@ fn journal() -> Routes {
         .layer(middleware::from_fn_with_state(Arc::new(Semaphore::new(large::MAX_READS)), large::count))
 }
 
-fn api() -> Routes {
+fn documents() -> Routes {
     OpenApiRouter::new()
-        .merge(journal())
         .routes(routes!(docs::openapi))
         .routes(routes!(docs::asyncapi))
+        .layer(Extension(Arc::new(docs::Documents::new(openapi))))
+}
+
+fn api() -> Routes {
+    OpenApiRouter::new()
+        .merge(documents())
+        .merge(journal())
         .routes(routes!(paths::grippers::list))
         .routes(routes!(paths::grippers::info))
         .routes(routes!(paths::grippers::state))

@@ -29,7 +29,7 @@ const ROOMS: &str = "
     logging:
     operations: access alarms events fleet gripper gripper/model gripper/recorder journal recipes trends wear webhooks wsg
     interfaces: access gripper/model operations
-    interfaces/dashboard: operations
+    interfaces/dashboard: interfaces operations
     interfaces/http: access alarms interfaces interfaces/dashboard interfaces/websocket events fleet operations
         gripper gripper/model journal recipes trends
     interfaces/modbus: interfaces gripper gripper/model operations wsg

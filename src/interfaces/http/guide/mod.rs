@@ -3,7 +3,7 @@
 //! The pages are part of the program, because a cell may have no internet. A page is rendered when it is first asked for.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 
 use axum::body::Bytes;
 use axum::extract::Path;
@@ -13,6 +13,7 @@ use axum::{Router, routing};
 use comrak::Options;
 use rust_embed::Embed;
 
+use crate::interfaces::on_demand::OnDemand;
 use crate::operations::Problem;
 
 /// The guides, and the files next to them that the guides link to.
@@ -34,32 +35,32 @@ const POLICY: HeaderValue = HeaderValue::from_static(
 pub fn pages<S: Clone + Send + Sync + 'static>() -> Router<S> {
     let guides = Arc::new(Guides::default());
     let index = guides.clone();
-    let index = routing::get(async move || index.page(INDEX));
+    let index = routing::get(async move || index.page(INDEX).await);
     Router::new()
         .route("/docs/guide", index.clone())
         .route("/docs/guide/", index)
         .route("/docs/guide/style.css", routing::get(async || ([(CONTENT_TYPE, "text/css")], STYLE)))
-        .route("/docs/guide/{name}", routing::get(async move |Path(name): Path<String>| guides.page(&name)))
+        .route("/docs/guide/{name}", routing::get(async move |Path(name): Path<String>| guides.page(&name).await))
         .route("/docs/files/{*path}", routing::get(async |Path(path): Path<String>| file(&path)))
 }
 
 /// The rendered pages by name, without `.md`.
-struct Guides(BTreeMap<String, OnceLock<Bytes>>);
+struct Guides(BTreeMap<String, OnDemand<Bytes>>);
 
 impl Default for Guides {
     fn default() -> Self {
         let names = Files::iter().filter_map(|path| Some(path.strip_prefix("guide/")?.strip_suffix(".md")?.to_owned()));
-        Self(names.map(|name| (name, OnceLock::new())).collect())
+        Self(names.map(|name| (name.clone(), OnDemand::new(move || rendered(&name).into()))).collect())
     }
 }
 
 impl Guides {
-    fn page(&self, name: &str) -> Response {
+    async fn page(&self, name: &str) -> Result<Response, Problem> {
         let name = name.strip_suffix(".md").unwrap_or(name);
-        let Some(page) = self.0.get(name) else { return Problem::not_found("such guide").into_response() };
-        let html = page.get_or_init(|| rendered(name).into()).clone();
-        ([(CONTENT_SECURITY_POLICY, POLICY), (CACHE_CONTROL, HeaderValue::from_static("no-cache"))], Html(html))
-            .into_response()
+        let page = self.0.get(name).ok_or_else(|| Problem::not_found("such guide"))?;
+        let html = Html(page.get().await?.clone());
+        let caching = HeaderValue::from_static("no-cache");
+        Ok(([(CONTENT_SECURITY_POLICY, POLICY), (CACHE_CONTROL, caching)], html).into_response())
     }
 }
 
