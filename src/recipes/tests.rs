@@ -115,13 +115,16 @@ async fn recipes_survive_a_restart() {
 
 #[test]
 fn current_versions_outlive_newer_ones_of_other_recipes() {
-    let (recipes, mes) = recipes();
-    recipes.set(vec![any(recipe("A", 1, 20.0)), any(recipe("B", 2, 20.0))], &mes).unwrap();
-    for width_mm in 0..1100 {
-        recipes.set(vec![any(recipe("B", 2, f64::from(width_mm)))], &mes).unwrap();
+    let (mut known, by) = (KnownRecipes::default(), Arc::from("mes"));
+    let mut set = |recipe| known.set(vec![any(recipe)], &by, Now::read().wall).unwrap();
+    set(recipe("A", 1, 20.0));
+    for width_mm in 0..1101 {
+        set(recipe("B", 2, f64::from(width_mm)));
     }
-    let versions = |part_id| recipes.versions(&PartId::new(part_id).unwrap());
-    let (a, b) = (versions("A"), versions("B"));
-    assert_eq!((a.len(), a[0].version), (1, 1));
-    assert_eq!((b.len(), b[0].version, b[998].version), (999, 1102, 104));
+    let versions = |part_id: &str| {
+        let of_part = known.all().rev().filter(|version| version.recipe.part_id.as_str() == part_id);
+        of_part.map(|version| version.version).collect::<Vec<_>>()
+    };
+    assert_eq!(versions("A"), [1]);
+    assert_eq!(versions("B"), (104..=1102).rev().collect::<Vec<_>>());
 }
