@@ -16,8 +16,8 @@ use tokio::time::{Interval, MissedTickBehavior, interval, sleep, timeout};
 
 use crate::{every_run, long};
 
-/// Time limit of an attack.
-const LASTS_AT_MOST: Duration = Duration::from_secs(400);
+/// Time limit of an attack. The soak may last an hour.
+const LASTS_AT_MOST: Duration = Duration::from_mins(90);
 
 /// Time for a crowd to connect before the probe starts anyway.
 const GETS_IN_WITHIN: Duration = Duration::from_secs(8);

@@ -24,7 +24,6 @@ const MEASURE_EVERY: Duration = Duration::from_millis(50);
 #[derive(Debug)]
 pub struct Gateway {
     child: Child,
-    said: PathBuf,
     logged: PathBuf,
     pub address: SocketAddr,
     pub port: SocketAddr,
@@ -50,12 +49,13 @@ pub enum Limits {
 impl Gateway {
     /// Starts a gateway, and waits until both devices are connected.
     pub fn start(g: &Device, h: &Device, limits: Limits) -> Self {
-        let arguments = [
-            format!("--gripper=g=tcp://{}", g.address),
-            format!("--gripper=h=tcp://{}", h.address),
-            "--wsg-port=g=127.0.0.1:0".to_owned(),
-        ];
-        Self::with(&arguments, &["g", "h"], limits)
+        Self::with(&serving(g, h), &["g", "h"], limits)
+    }
+
+    /// Starts a gateway whose journal is a file. A journal in memory grows with each event.
+    pub fn with_journal_file(g: &Device, h: &Device) -> Self {
+        let journal = format!("--journal={}", file("journal").display());
+        Self::with(&[&serving(g, h)[..], &[journal]].concat(), &["g", "h"], Limits::Inherited)
     }
 
     /// Starts a gateway with `g` alone.
@@ -65,8 +65,6 @@ impl Gateway {
     }
 
     fn with(arguments: &[String], grippers: &'static [&'static str], limits: Limits) -> Self {
-        let place = PathBuf::from(env!("CARGO_TARGET_TMPDIR"));
-        let file = |what: &str| place.join(format!("{}-attacked-{what}", std::process::id()));
         let (said, logged) = (file("out"), file("log"));
         let limits = match limits {
             Limits::Inherited => String::new(),
@@ -102,7 +100,7 @@ impl Gateway {
         let address = word_after(" at http://").parse().unwrap();
         let port = word_after("WSG port of g: tcp://").parse().unwrap();
         let zenoh = word_after("Zenoh: ");
-        let gateway = Self { child, said, logged, address, port, zenoh, grippers };
+        let gateway = Self { child, logged, address, port, zenoh, grippers };
         for gripper in grippers {
             gateway.until_connected(gripper);
         }
@@ -165,9 +163,24 @@ impl Drop for Gateway {
             let lines: Vec<_> = log.lines().collect();
             eprintln!("--- the end of the gateway's log ---\n{}", lines[lines.len().saturating_sub(20)..].join("\n"));
         }
-        let _ = std::fs::remove_file(&self.said);
-        let _ = std::fs::remove_file(&self.logged);
+        for what in ["out", "log", "journal", "journal-wal", "journal-shm", "journal-lock"] {
+            let _ = std::fs::remove_file(file(what));
+        }
     }
+}
+
+/// Arguments for two devices, `g` with a WSG port.
+fn serving(g: &Device, h: &Device) -> [String; 3] {
+    [
+        format!("--gripper=g=tcp://{}", g.address),
+        format!("--gripper=h=tcp://{}", h.address),
+        "--wsg-port=g=127.0.0.1:0".to_owned(),
+    ]
+}
+
+/// Path of a file of this process's gateway.
+fn file(what: &str) -> PathBuf {
+    PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("{}-attacked-{what}", std::process::id()))
 }
 
 /// Memory and file descriptors of a process.

@@ -8,6 +8,7 @@ mod memory;
 mod pipelines;
 mod request_ids;
 mod slow;
+mod soak;
 mod streams;
 mod unread;
 
@@ -19,6 +20,7 @@ use crate::attacker::Crowd;
 pub fn attack(name: &str, crowd: &Arc<Crowd>, count: usize) {
     match name {
         "busy_observers" => busy::begin(crowd, count),
+        "come_and_go" => crowd.each(count, soak::come_and_go),
         "connect_and_close" => connects::close(crowd, count),
         "connect_and_hold" => connects::hold(crowd, count),
         "half_heads" => crowd.each(count, heads::half_head),
