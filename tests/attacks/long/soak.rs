@@ -10,7 +10,7 @@ use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
 use tokio::time::{sleep, timeout};
 
-use super::streams::by_stream;
+use super::streams::followed;
 use crate::attacker::{Attacker, Crowd};
 use crate::device::Device;
 use crate::every_run::subscribed;
@@ -43,15 +43,15 @@ const NOTICES_WITHIN: Duration = Duration::from_secs(20);
 /// Descriptors of idle pools, such as the journal's readers, that may be open after the clients have left.
 const POOLED: usize = 16;
 
-const POLLS_EVERY: Duration = Duration::from_millis(200);
+const POLLS_EVERY: Duration = Duration::from_millis(500);
 
 /// Stays for up to ten seconds, then leaves without a farewell.
 pub async fn come_and_go(crowd: Arc<Crowd>, index: usize, stream: TcpStream) -> io::Result<()> {
     let stays_for = Duration::from_millis(rand::random_range(100..10_000));
     let visit = async {
         match index % 5 {
-            0 => subscribed(crowd, stream, r#"{"topics": ["state", "telemetry", "events"], "max_hz": 10}"#).await,
-            1 => by_stream(crowd, index, stream).await,
+            0 => subscribed(crowd, stream, r#"{"topics": ["state", "telemetry", "events"], "max_hz": 2}"#).await,
+            1 => followed(crowd, stream, "topics=state,events&max_hz=2").await,
             2 => poll(&crowd, stream).await,
             3 => hold(&crowd, stream).await,
             _ => send_half(&crowd, stream).await,

@@ -21,8 +21,13 @@ const OBSERVERS: usize = 900;
 const NOISE: Duration = Duration::from_millis(10);
 
 /// Reads an event stream.
-pub async fn by_stream(crowd: Arc<Crowd>, _: usize, mut stream: TcpStream) -> io::Result<()> {
-    let path = "/api/v1/stream?topics=events,state,telemetry,frames,fleet&max_hz=100";
+pub async fn by_stream(crowd: Arc<Crowd>, _: usize, stream: TcpStream) -> io::Result<()> {
+    followed(crowd, stream, "topics=events,state,telemetry,frames,fleet&max_hz=100").await
+}
+
+/// Reads an event stream with this query.
+pub async fn followed(crowd: Arc<Crowd>, mut stream: TcpStream, query: &str) -> io::Result<()> {
+    let path = &format!("/api/v1/stream?{query}");
     stream.write_all(http::request("GET", path, "").as_bytes()).await?;
     let _inside = crowd.inside();
     let mut buffer = vec![0; 16 * 1024];
