@@ -17,6 +17,9 @@ use crate::harness::{Answer, Gateway, run};
 /// Number of kills without `KILLS`.
 const DEFAULT_KILLS: u64 = 5;
 
+/// Kills before a new journal begins. Each kill verifies the whole journal.
+const KILLS_OF_A_JOURNAL: u64 = 50;
+
 /// Longest traffic before a kill.
 const LONGEST_TRAFFIC_MS: u64 = 1200;
 
@@ -49,7 +52,16 @@ fn outcome_of(command: &CommandReport) -> Option<String> {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn killed_gateway_keeps_reported_commands() {
-    let kills = std::env::var("KILLS").map_or(DEFAULT_KILLS, |kills| kills.parse().expect("a number"));
+    let mut left = std::env::var("KILLS").map_or(DEFAULT_KILLS, |kills| kills.parse().expect("a number"));
+    while left > 0 {
+        let kills = left.min(KILLS_OF_A_JOURNAL);
+        kill_repeatedly(kills).await;
+        left -= kills;
+    }
+}
+
+/// Kills gateways that use one journal, one after another.
+async fn kill_repeatedly(kills: u64) {
     let directory = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("{}-kills", std::process::id()));
     let path = directory.join("journal.db");
     let name = path.to_str().unwrap();
