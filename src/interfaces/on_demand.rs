@@ -9,34 +9,42 @@ use crate::operations::Problem;
 
 /// A value that takes some time to compute, and that a gateway may never need.
 ///
-/// A thread for blocking work computes the value, so that no other request waits for it.
+/// A thread for blocking work computes the value once, even if the client that needed it leaves meanwhile.
 pub struct OnDemand<T> {
     compute: Arc<dyn Fn() -> T + Send + Sync>,
-    value: OnceCell<T>,
+    value: Arc<OnceCell<T>>,
 }
 
 impl<T: Send + Sync + 'static> OnDemand<T> {
     pub fn new(compute: impl Fn() -> T + Send + Sync + 'static) -> Self {
-        Self { compute: Arc::new(compute), value: OnceCell::new() }
+        Self { compute: Arc::new(compute), value: Arc::default() }
     }
 
     /// Returns the value, which the first call computes.
     ///
     /// # Errors
-    /// An internal error if the computation panics. The next call repeats it.
+    /// An internal error if the computation panics. The next call computes the value again.
     pub async fn get(&self) -> Result<&T, Problem> {
-        let compute = self.compute.clone();
-        let value = self.value.get_or_try_init(async || spawn_blocking(move || compute()).await).await;
-        value.map_err(|error| {
-            tracing::error!(%error, "part of the documentation or the dashboard could not be prepared");
-            Problem::internal()
-        })
+        if !self.value.initialized() {
+            let (compute, value) = (self.compute.clone(), self.value.clone());
+            // A task of its own, because a client that leaves would end this future, and its next request would start
+            // the computation a second time.
+            let computing = tokio::spawn(async move {
+                value.get_or_try_init(async || spawn_blocking(move || compute()).await).await.map(drop)
+            });
+            if let Err(error) = computing.await.flatten() {
+                tracing::error!(%error, "part of the documentation or the dashboard could not be prepared");
+            }
+        }
+        self.value.get().ok_or_else(Problem::internal)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use std::sync::atomic::{AtomicU32, Ordering};
+
+    use futures_util::FutureExt as _;
 
     use super::*;
 
@@ -49,6 +57,18 @@ mod tests {
         let (first, second) = tokio::join!(value.get(), value.get());
         assert_eq!((first.unwrap(), second.unwrap()), (&0, &0));
         assert_eq!(computed.load(Ordering::Relaxed), 1);
+    }
+
+    #[tokio::test]
+    async fn client_that_leaves_does_not_start_it_again() {
+        let computed = Arc::new(AtomicU32::new(0));
+        let counter = computed.clone();
+        let value = OnDemand::new(move || counter.fetch_add(1, Ordering::Relaxed));
+        for _ in 0..10 {
+            assert!(value.get().now_or_never().is_none());
+            tokio::task::yield_now().await;
+        }
+        assert_eq!((value.get().await.unwrap(), computed.load(Ordering::Relaxed)), (&0, 1));
     }
 
     #[tokio::test]

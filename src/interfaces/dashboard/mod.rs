@@ -1,8 +1,9 @@
 //! The dashboard: a page embedded in the program, which uses only the public WebSocket and REST interfaces.
 //!
 //! There is no build step: when a browser first loads the page, the gateway joins the modules into two scripts and the
-//! styles into one, and compresses them. Their paths contain a hash of all assets, so that a browser caches them until one changes, and asks
-//! only for the page. The content security policy allows no other origin, and no inline script or style.
+//! styles into one, and compresses them. Their paths contain a hash of all assets, so that a browser caches them until
+//! one changes, and asks only for the page. The content security policy allows no other origin, and no inline script or
+//! style.
 //! `tests/browser/vendor` fetches the libraries in `vendor/`.
 
 mod bundle;

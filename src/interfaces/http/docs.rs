@@ -112,7 +112,7 @@ pub struct Documents {
 }
 
 impl Documents {
-    /// Encodes the OpenAPI document that `openapi` returns, and the AsyncAPI document made from it.
+    /// Prepares the OpenAPI document that `openapi` returns, and the AsyncAPI document made from it, for the first request.
     pub fn new(openapi: fn() -> Value) -> Self {
         Self {
             openapi: OnDemand::new(move || serde_json::to_vec(&openapi()).unwrap_or_default().into()),
