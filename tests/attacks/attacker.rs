@@ -16,8 +16,8 @@ use tokio::time::{Interval, MissedTickBehavior, interval, sleep, timeout};
 
 use crate::{every_run, long};
 
-/// Time limit of an attack. The soak may last an hour.
-const LASTS_AT_MOST: Duration = Duration::from_mins(90);
+/// Time limit of an attack, besides the time of a soak.
+const LASTS_AT_MOST: Duration = Duration::from_secs(400);
 
 /// Time for a crowd to connect before the probe starts anyway.
 const GETS_IN_WITHIN: Duration = Duration::from_secs(8);
@@ -187,7 +187,7 @@ fn role() {
     let (inside, opened, sent) = <(AtomicUsize, AtomicUsize, AtomicUsize)>::default();
     let crowd = Arc::new(Crowd { address, count, inside, opened, sent, pace: Mutex::new(pace) });
     std::thread::spawn(|| {
-        std::thread::sleep(LASTS_AT_MOST);
+        std::thread::sleep(LASTS_AT_MOST + long::soak_time());
         std::process::exit(1);
     });
     runtime.block_on(async {

@@ -65,6 +65,8 @@ impl Gateway {
     }
 
     fn with(arguments: &[String], grippers: &'static [&'static str], limits: Limits) -> Self {
+        // An aborted process with the same id may have left a journal.
+        remove_files();
         let (said, logged) = (file("out"), file("log"));
         let limits = match limits {
             Limits::Inherited => String::new(),
@@ -163,9 +165,7 @@ impl Drop for Gateway {
             let lines: Vec<_> = log.lines().collect();
             eprintln!("--- the end of the gateway's log ---\n{}", lines[lines.len().saturating_sub(20)..].join("\n"));
         }
-        for what in ["out", "log", "journal", "journal-wal", "journal-shm", "journal-lock"] {
-            let _ = std::fs::remove_file(file(what));
-        }
+        remove_files();
     }
 }
 
@@ -181,6 +181,12 @@ fn serving(g: &Device, h: &Device) -> [String; 3] {
 /// Path of a file of this process's gateway.
 fn file(what: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("{}-attacked-{what}", std::process::id()))
+}
+
+fn remove_files() {
+    for what in ["out", "log", "journal", "journal-wal", "journal-shm", "journal-lock"] {
+        let _ = std::fs::remove_file(file(what));
+    }
 }
 
 /// Memory and file descriptors of a process.

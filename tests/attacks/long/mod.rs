@@ -16,6 +16,8 @@ use std::sync::Arc;
 
 use crate::attacker::Crowd;
 
+pub use soak::soak_time;
+
 /// Starts the attack of this name, if it is defined here.
 pub fn attack(name: &str, crowd: &Arc<Crowd>, count: usize) {
     match name {
