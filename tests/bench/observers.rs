@@ -136,7 +136,9 @@ fn main() -> Result<(), Error> {
         println!("FAST STOP to the device, {name} of {count}: idle {idle:?}, loaded {loaded:?}, ratio {ratio:.2}");
     }
     println!(
-        "memory: {before:.1} MiB idle, {begun:.1} MiB loaded, {ended:.1} MiB at the end ({:+.1} %)",
+        "memory: {before:.1} MiB idle, {begun:.1} MiB loaded ({:.1} KiB for each observer), {ended:.1} MiB at the end \
+         ({:+.1} %)",
+        (begun - before) * 1024.0 / observers as f64,
         (ended / begun - 1.0) * 100.0
     );
     println!(
