@@ -1,4 +1,5 @@
 use std::collections::VecDeque;
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use tokio::io::ReadBuf;
@@ -72,4 +73,39 @@ async fn disconnect_is_answered_after_the_attempt_to_connect() {
     handle.disconnect(client(), None).await.unwrap();
     assert!(!is_connecting.load(Ordering::Relaxed), "nothing can open a connection any more");
     assert_eq!(handle.state().link, Link::Released);
+}
+
+/// A device that refuses all connections, and the times of the attempts.
+#[derive(Default)]
+struct Absent(Arc<Mutex<Vec<tokio::time::Instant>>>);
+
+impl Connector for Absent {
+    fn url(&self) -> String {
+        "test://absent".to_owned()
+    }
+
+    fn properties(&self) -> LinkProperties {
+        TCP
+    }
+
+    fn connect(&self) -> Pin<Box<dyn Future<Output = io::Result<Pipe>> + Send + '_>> {
+        self.0.lock().unwrap().push(tokio::time::Instant::now());
+        Box::pin(std::future::ready(Err(io::ErrorKind::ConnectionRefused.into())))
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn pauses_between_attempts_double_up_to_two_seconds() {
+    let absent = Absent::default();
+    let attempts = absent.0.clone();
+    let _handle = spawn(config(TCP), Arc::new(absent), Arc::new(NullRecorder), RestoredState::default());
+    tokio::time::sleep(Duration::from_secs(12)).await;
+    let attempts = attempts.lock().unwrap();
+    let pauses: Vec<_> = attempts.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    let longest = [100, 200, 400, 800, 1600, 2000, 2000, 2000].map(Duration::from_millis);
+    assert!(pauses.len() >= longest.len(), "{pauses:?}");
+    for (pause, longest) in pauses.iter().zip(longest) {
+        // A timer fires up to a millisecond late.
+        assert!(longest.mul_f64(0.75) <= *pause && *pause <= longest + Duration::from_millis(1), "{pauses:?}");
+    }
 }
