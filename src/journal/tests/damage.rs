@@ -117,10 +117,19 @@ async fn close_ends_a_check() {
     journal.close().await.unwrap();
     drop(journal);
     let (journal, _) = directory.open();
+    let opened = std::time::Instant::now();
+    while !journal.is_checked() {
+        tokio::time::sleep(Duration::from_millis(1)).await;
+    }
+    let whole = opened.elapsed();
+    journal.close().await.unwrap();
+    drop(journal);
+    let (journal, _) = directory.open();
     assert!(!journal.is_checked());
     let began = std::time::Instant::now();
     journal.close().await.unwrap();
-    assert!(began.elapsed() < Duration::from_secs(1), "{:?}", began.elapsed());
+    // Other processes delay both alike, since the check has the lowest priority.
+    assert!(began.elapsed() < whole / 2, "{:?} to close, {whole:?} for a whole check", began.elapsed());
 }
 
 impl Journal {
