@@ -220,6 +220,12 @@ pub enum Failure {
     Draining,
     #[error("the device did not answer {command} within {waited_ms} ms")]
     DeviceTimeout { command: &'static str, waited_ms: u64 },
+    /// The device never received the request.
+    #[error(
+        "{command} was not sent, because the device did not reply to earlier requests within {waited_ms} ms: try again \
+             later"
+    )]
+    NotSent { command: &'static str, waited_ms: u64 },
     #[error("unexpected reply from the device to {command}: {detail}")]
     DeviceProtocol { command: &'static str, detail: String },
     #[error("{limit} requests are already waiting for this gripper: try again later")]
@@ -247,7 +253,7 @@ impl Failure {
     const fn code(&self) -> Code {
         match self {
             Self::LinkDown { .. } | Self::Draining => Code::LinkDown,
-            Self::DeviceTimeout { .. } => Code::DeviceTimeout,
+            Self::DeviceTimeout { .. } | Self::NotSent { .. } => Code::DeviceTimeout,
             Self::DeviceProtocol { .. } => Code::DeviceProtocol,
             Self::JournalDown { .. } => Code::JournalDown,
             Self::Overloaded { .. } | Self::RequestIds { .. } | Self::FlashWear { .. } => Code::Overloaded,

@@ -209,6 +209,12 @@ pub const fn is_motion(id: u8) -> bool {
     matches!(id, HOMING | PRE_POSITION | GRIP | RELEASE)
 }
 
+/// Whether `id` belongs to a script on the device, because no manual describes it.
+#[must_use]
+pub fn is_custom(id: u8) -> bool {
+    describe(id).is_none()
+}
+
 /// Whether `id` supports automatic updates (`fw4-en 3.4.1`).
 #[must_use]
 pub const fn has_updates(id: u8) -> bool {

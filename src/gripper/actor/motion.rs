@@ -97,9 +97,8 @@ impl Actor {
                 let rejection = self.refusal(command, status);
                 return self.reject_running(now, rejection);
             }
-            End::Unanswered { written: false, waited, .. } => {
-                let waited_ms = waited.as_millis() as u64;
-                return self.reject_running(now, Failure::DeviceTimeout { command, waited_ms }.into());
+            end @ End::Unanswered { written: false, .. } => {
+                return self.reject_running(now, unanswered(command, &end).into());
             }
             End::Unanswered { stopped: true, .. } | End::NoResult { stopped: true } => (Outcome::Aborted, None),
             end => {
@@ -292,6 +291,9 @@ impl Actor {
 fn unanswered(command: &'static str, end: &End) -> Failure {
     let waited_ms = match end {
         End::Invalid(invalid) => return Failure::DeviceProtocol { command, detail: invalid.to_string() },
+        End::Unanswered { written: false, waited, .. } => {
+            return Failure::NotSent { command, waited_ms: waited.as_millis() as u64 };
+        }
         End::Unanswered { waited, .. } => waited.as_millis() as u64,
         End::NoResult { .. } | End::Reply(_) => super::RESULT_WITHIN.as_millis() as u64,
     };

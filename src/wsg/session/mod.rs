@@ -14,8 +14,8 @@
 //!   most for the frame being written.
 //! - Every request ends exactly once: with a reply or at its deadline.
 //! - After a timeout, an id stays closed until the echo of a later Loop (see `barrier`). A two-step id stays closed
-//!   until its late result arrives, or the device reports not MOVING after that echo. FAST STOP and Stop never wait
-//!   for this.
+//!   until its late result arrives, or the device reports not MOVING after that echo. A script's id stays closed until
+//!   its late reply arrives, or for [`SCRIPT_REPLIES_WITHIN`]. FAST STOP and Stop never wait for this.
 //!
 //! Architecture invariant: a request is written at most once. The session repeats only its own Loop.
 
@@ -43,6 +43,10 @@ pub const ABORT_GRACE: Duration = Duration::from_millis(250);
 
 /// Time limit for a late result from a device that has stopped moving.
 pub const RESULT_GRACE: Duration = Duration::from_secs(1);
+
+/// Time for which a script's late reply is awaited, counted from its request. Scripts run beside the device's own
+/// commands, so the echo of a later Loop does not mean that no reply can follow.
+pub const SCRIPT_REPLIES_WITHIN: Duration = Duration::from_secs(10);
 
 /// Silence after which a Loop probes whether the device is still there.
 pub const PROBE_AFTER: Duration = Duration::from_millis(500);
@@ -235,6 +239,7 @@ impl Session {
             ));
         }
         self.expire_in_flight(now);
+        self.expire_scripts(now);
         if now >= self.last_heard + PROBE_AFTER {
             self.barrier.probe();
         }
@@ -273,8 +278,8 @@ impl Session {
     pub fn poll_timeout(&self) -> Option<Instant> {
         let in_flight = self.slots.in_flight().map(|(_, in_flight)| in_flight.deadline).min();
         let probe = (!self.barrier.is_in_flight() && !self.barrier.is_wanted()).then(|| self.last_heard + PROBE_AFTER);
-        let deadlines =
-            [in_flight, self.lanes.next_deadline(), self.barrier.deadline(), self.partial_deadline(), probe];
+        let (waiting, script) = (self.lanes.next_deadline(), self.slots.script_deadline());
+        let deadlines = [in_flight, waiting, script, self.barrier.deadline(), self.partial_deadline(), probe];
         deadlines.into_iter().flatten().min()
     }
 
@@ -390,10 +395,21 @@ impl Session {
             if matches!(slot.id, id::STOP | id::FAST_STOP) {
                 return false;
             }
-            let closed = Closed { since: barrier.want(), echoed: false, two_step: in_flight.two_step };
+            let script_until = id::is_custom(slot.id).then(|| in_flight.sent_at + SCRIPT_REPLIES_WITHIN);
+            let two_step = in_flight.two_step;
+            let closed = Closed { two_step, script_until, ..Closed::until_echo(barrier.want()) };
             slot.state = SlotState::Closed(closed);
             true
         });
+    }
+
+    /// Waits for one more echo instead of for a script's reply, which can still be on its way.
+    fn expire_scripts(&mut self, now: Instant) {
+        for closed in self.slots.closed_mut() {
+            if closed.script_until.is_some_and(|until| until <= now) {
+                *closed = Closed::until_echo(self.barrier.want());
+            }
+        }
     }
 
     fn partial_deadline(&self) -> Option<Instant> {

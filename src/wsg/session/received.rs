@@ -57,12 +57,7 @@ impl Session {
                     if !in_flight.accepted {
                         self.round_trip = Some(now.saturating_duration_since(in_flight.sent_at));
                     }
-                    if self.config.may_duplicate && !matches!(id, id::STOP | id::FAST_STOP) && !id::has_updates(id) {
-                        let since = self.barrier.want();
-                        slot.state = SlotState::Closed(Closed { since, echoed: false, two_step: false });
-                    } else {
-                        self.slots.open(id);
-                    }
+                    self.open_or_await_duplicates(id);
                     if matches!(id, id::STOP | id::FAST_STOP) && reply.status() == Status::E_SUCCESS {
                         self.expect_aborts_before(now, order);
                     }
@@ -72,11 +67,23 @@ impl Session {
             },
             SlotState::Closed(closed) => {
                 self.counters.late_replies += 1;
-                // This is the late result itself, so nothing more of that request can arrive.
-                if closed.two_step && reply.status() != Status::E_CMD_PENDING {
-                    self.slots.open(id);
+                // This is the late result itself.
+                if closed.awaits_result() && reply.status() != Status::E_CMD_PENDING {
+                    self.open_or_await_duplicates(id);
                 }
             }
+        }
+    }
+
+    /// Ends the wait of an id whose request got its last reply.
+    fn open_or_await_duplicates(&mut self, id: u8) {
+        let may_duplicate =
+            self.config.may_duplicate && !matches!(id, id::STOP | id::FAST_STOP) && !id::has_updates(id);
+        match self.slots.get_mut(id) {
+            Some(slot) if may_duplicate => {
+                slot.state = SlotState::Closed(Closed::until_echo(self.barrier.want()));
+            }
+            _ => self.slots.open(id),
         }
     }
 
@@ -88,7 +95,7 @@ impl Session {
         };
         match self.barrier.echo(now, data) {
             Echo::Ours(generation) => self.slots.retain(|slot| match &mut slot.state {
-                SlotState::Closed(closed) if closed.since < generation => {
+                SlotState::Closed(closed) if closed.since < generation && closed.script_until.is_none() => {
                     closed.echoed = true;
                     closed.two_step
                 }

@@ -43,6 +43,20 @@ pub(super) struct Closed {
     pub since: LoopGeneration,
     pub echoed: bool,
     pub two_step: bool,
+    /// Time until which a script can still reply, whatever has been echoed.
+    pub script_until: Option<Instant>,
+}
+
+impl Closed {
+    /// Closes an id until the echo of a Loop newer than `since`.
+    pub(super) fn until_echo(since: LoopGeneration) -> Self {
+        Self { since, echoed: false, two_step: false, script_until: None }
+    }
+
+    /// Whether the reply to the last request can arrive after the echo.
+    pub(super) fn awaits_result(&self) -> bool {
+        self.two_step || self.script_until.is_some()
+    }
 }
 
 /// Meaning of a status for a request in flight.
@@ -102,6 +116,22 @@ impl Slots {
 
     pub(super) fn retain(&mut self, keep: impl FnMut(&mut Slot) -> bool) {
         self.0.retain_mut(keep);
+    }
+
+    pub(super) fn closed_mut(&mut self) -> impl Iterator<Item = &mut Closed> {
+        self.0.iter_mut().filter_map(|slot| match &mut slot.state {
+            SlotState::Closed(closed) => Some(closed),
+            SlotState::InFlight(_) => None,
+        })
+    }
+
+    /// The next time at which a script's id no longer waits for its reply.
+    pub(super) fn script_deadline(&self) -> Option<Instant> {
+        let until = |slot: &Slot| match &slot.state {
+            SlotState::Closed(closed) => closed.script_until,
+            SlotState::InFlight(_) => None,
+        };
+        self.0.iter().filter_map(until).min()
     }
 
     pub(super) fn in_flight_mut(&mut self) -> impl Iterator<Item = (u8, &mut InFlight)> {

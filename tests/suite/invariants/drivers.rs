@@ -7,8 +7,8 @@ use wsg_gateway::gripper::handle::ActorRequest;
 use wsg_gateway::gripper::model::{
     Action, Client, Door, FastStopCause, LeaseToken, Motion, Outcome, Submission, TakeLease,
 };
-use wsg_gateway::gripper::{Conflict, Invalid, Rejection, Ticket};
-use wsg_gateway::sim::{Change, Script, ScriptAnswer};
+use wsg_gateway::gripper::{Conflict, Failure, Invalid, Rejection, Ticket};
+use wsg_gateway::sim::{Change, FaultKind, Script, ScriptAnswer};
 use wsg_gateway::wsg::{self, Acceleration, Data, MoveFlags, SoftLimits, Speed, Width, id};
 
 use super::NOTHING;
@@ -164,6 +164,34 @@ fn script_runs_during_a_motion_but_not_in_fast_stop() {
     let refused = script(&mut world, &one).unwrap_err();
     assert!(matches!(refused, Rejection::Conflict(Conflict::FastStop { .. })), "{refused:?}");
     assert!(!received(&world, from).contains(&SCRIPT_ID));
+}
+
+#[test]
+fn script_is_not_sent_while_its_late_reply_is_awaited() {
+    let mut world = homed_with_script();
+    let one = driver("10.0.0.1");
+    let late = FaultKind::FinalLate { by_ms: 3000 };
+    world.device.apply(world.now, Change::Fault { kind: late, id: Some(SCRIPT_ID), times: 1 });
+    let from = mark(&world);
+    let mut failures = Vec::new();
+    for _ in 0..2 {
+        let mut answered = send_script(&mut world, &one);
+        world.advance(Duration::from_millis(1200));
+        failures.push(answered.try_recv().unwrap().unwrap_err());
+    }
+    let [Rejection::Failure(timed_out), Rejection::Failure(unsent)] = &failures[..] else { panic!("{failures:?}") };
+    assert!(matches!(timed_out, Failure::DeviceTimeout { .. }), "{timed_out:?}");
+    assert_eq!(
+        unsent.to_string(),
+        "the custom command was not sent, because the device did not reply to earlier requests within 1000 ms: try again later"
+    );
+    assert_eq!(received(&world, from), [SCRIPT_ID]);
+    let mut answered = send_script(&mut world, &one);
+    world.advance(Duration::from_millis(500));
+    assert!(matches!(answered.try_recv().unwrap_err(), oneshot::error::TryRecvError::Empty));
+    world.advance(Duration::from_millis(200));
+    assert!(answered.try_recv().unwrap().is_ok());
+    assert_eq!(received(&world, from), [SCRIPT_ID; 2]);
 }
 
 #[test]

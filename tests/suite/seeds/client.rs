@@ -271,7 +271,7 @@ impl Clients {
                 wrong = Some((data, expected.clone()));
                 false
             }
-            (Ok(Err(Rejection::Failure(Failure::DeviceTimeout { .. }))), _) => {
+            (Ok(Err(Rejection::Failure(Failure::DeviceTimeout { .. } | Failure::NotSent { .. }))), _) => {
                 late += 1;
                 false
             }

@@ -1,6 +1,7 @@
 //! Late and duplicate replies, and the Loops that separate them from new ones.
 
 use super::*;
+use crate::wsg::CustomCommand;
 
 #[test]
 fn late_reply_does_not_end_next_request_of_its_id() {
@@ -80,6 +81,80 @@ fn two_step_id_opens_when_not_moving_after_echo() {
     assert_eq!(rig.written(), NOTHING);
     rig.flags(SystemState::REFERENCED);
     assert_eq!(rig.written(), [id::GRIP]);
+}
+
+fn script(payload: u8) -> Command {
+    Command::Custom(CustomCommand::new(0xB3, vec![payload]).unwrap())
+}
+
+fn script_reply(payload: u8) -> Reply {
+    Reply::Success(Data::Custom(vec![payload]))
+}
+
+#[test]
+fn late_reply_of_a_script_does_not_end_its_next_request() {
+    let mut rig = Rig::new();
+    rig.submit(script(1));
+    rig.written();
+    rig.pass(ANSWER);
+    let echo = rig.echo_of_written_loop();
+    rig.session.receive(rig.now, &echo);
+    rig.events();
+    let second = rig.submit(script(2));
+    assert_eq!(rig.written(), NOTHING, "the script still runs, although the device echoes");
+    rig.reply(0xB3, &script_reply(1));
+    assert_eq!(rig.events(), NO_EVENTS);
+    assert_eq!(rig.session.counters().late_replies, 1);
+    assert_eq!(rig.written(), [0xB3]);
+    rig.reply(0xB3, &script_reply(2));
+    assert_eq!(rig.events(), [SessionEvent::Ended(second, End::Reply(script_reply(2)))]);
+}
+
+#[test]
+fn script_without_a_reply_can_be_called_again_after_a_while() {
+    let mut rig = Rig::new();
+    rig.submit(script(1));
+    rig.written();
+    for time in [ANSWER, SCRIPT_REPLIES_WITHIN - 2 * ANSWER] {
+        rig.pass(time);
+        let echo = rig.echo_of_written_loop();
+        rig.session.receive(rig.now, &echo);
+    }
+    let second = rig.submit(script(2));
+    assert_eq!(rig.written(), NOTHING);
+    assert_eq!(rig.session.poll_timeout(), Some(rig.now + ANSWER));
+    rig.pass(ANSWER - Duration::from_millis(1));
+    assert_eq!(rig.written(), NOTHING);
+    let third = rig.submit(script(3));
+    rig.pass(Duration::from_millis(1));
+    let echo = rig.echo_of_written_loop();
+    assert_eq!(rig.written(), NOTHING, "the late reply can be before the echo");
+    let waited = ANSWER;
+    assert!(
+        rig.events().contains(&SessionEvent::Ended(second, End::Unanswered { written: false, stopped: false, waited }))
+    );
+    rig.session.receive(rig.now, &echo);
+    assert_eq!(rig.written(), [0xB3]);
+    rig.reply(0xB3, &script_reply(3));
+    assert_eq!(rig.events(), [SessionEvent::Ended(third, End::Reply(script_reply(3)))]);
+}
+
+#[test]
+fn duplicate_of_a_late_reply_does_not_end_the_next_request() {
+    let mut rig = Rig::on_datagrams();
+    rig.submit(script(1));
+    rig.written();
+    rig.pass(ANSWER);
+    let echo = rig.echo_of_written_loop();
+    rig.session.receive(rig.now, &echo);
+    rig.events();
+    rig.submit(script(2));
+    rig.reply(0xB3, &script_reply(1));
+    let echo = rig.echo_of_written_loop();
+    rig.reply(0xB3, &script_reply(1));
+    assert_eq!((rig.written(), rig.events()), (NOTHING.to_vec(), NO_EVENTS.to_vec()));
+    rig.session.receive(rig.now, &echo);
+    assert_eq!(rig.written(), [0xB3]);
 }
 
 #[test]
