@@ -16,6 +16,8 @@
 //! - After a timeout, an id stays closed until the echo of a later Loop (see `barrier`). A two-step id stays closed
 //!   until its late result arrives, or the device reports not MOVING after that echo. A script's id stays closed until
 //!   its late reply arrives, or for [`SCRIPT_REPLIES_WITHIN`]. FAST STOP and Stop never wait for this.
+//! - On a link that can duplicate frames, and once a reply without a request has arrived, an answered id also stays closed
+//!   until the echo of a later Loop.
 //!
 //! Architecture invariant: a request is written at most once. The session repeats only its own Loop.
 
@@ -158,6 +160,8 @@ pub struct Session {
     events: VecDeque<SessionEvent>,
     counters: Counters,
     round_trip: Option<Duration>,
+    /// Whether the link can repeat a reply, or the device has done so.
+    repeats_replies: bool,
     next_token: u64,
     moving: bool,
     last_heard: Instant,
@@ -171,6 +175,7 @@ impl Session {
     pub fn new(config: SessionConfig, now: Instant) -> Self {
         let barrier = Barrier::new(config.nonce_seed);
         Self {
+            repeats_replies: config.may_duplicate,
             config,
             decoder: Decoder::new(id::max_reply_bytes, ChecksumEvaluation::On),
             lanes: Lanes::default(),

@@ -37,7 +37,11 @@ impl Session {
         }
         let Some(slot) = self.slots.get_mut(id) else {
             // Automatic updates are not stray replies.
-            self.counters.stray_replies += u64::from(!id::has_updates(id));
+            if !id::has_updates(id) {
+                self.counters.stray_replies += 1;
+                // A stop is repeated before its reply has arrived, so it can get two.
+                self.repeats_replies |= !matches!(id, id::STOP | id::FAST_STOP);
+            }
             return;
         };
         match &mut slot.state {
@@ -77,10 +81,9 @@ impl Session {
 
     /// Ends the wait of an id whose request got its last reply.
     fn open_or_await_duplicates(&mut self, id: u8) {
-        let may_duplicate =
-            self.config.may_duplicate && !matches!(id, id::STOP | id::FAST_STOP) && !id::has_updates(id);
+        let is_repeated = self.repeats_replies && !matches!(id, id::STOP | id::FAST_STOP) && !id::has_updates(id);
         match self.slots.get_mut(id) {
-            Some(slot) if may_duplicate => {
+            Some(slot) if is_repeated => {
                 slot.state = SlotState::Closed(Closed::until_echo(self.barrier.want()));
             }
             _ => self.slots.open(id),

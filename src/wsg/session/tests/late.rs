@@ -229,3 +229,40 @@ fn client_loop_and_session_loop_do_not_mix() {
     rig.reply(id::LOOP, &reply);
     assert_eq!(rig.events(), [SessionEvent::Ended(token, End::Reply(reply))]);
 }
+
+#[test]
+fn device_that_has_repeated_a_reply_does_not_end_a_later_request_with_another() {
+    let mut rig = Rig::new();
+    let id = id::SET_FORCE_LIMIT;
+    let set = |n| Command::SetForceLimit(Force::new(n).unwrap());
+    rig.submit(set(10.0));
+    rig.written();
+    rig.status(id, Status::E_SUCCESS);
+    rig.status(id, Status::E_SUCCESS);
+    assert_eq!(rig.session.counters().stray_replies, 1);
+    rig.submit(set(20.0));
+    assert_eq!(rig.written(), [id]);
+    rig.status(id, Status::E_SUCCESS);
+    rig.events();
+    let last = rig.submit(set(500.0));
+    let echo = rig.echo_of_written_loop();
+    assert_eq!(rig.written(), NOTHING);
+    rig.status(id, Status::E_SUCCESS);
+    assert_eq!(rig.events(), NO_EVENTS, "repeated reply");
+    rig.session.receive(rig.now, &echo);
+    assert_eq!(rig.written(), [id]);
+    rig.status(id, Status::E_RANGE_ERROR);
+    assert_eq!(rig.events(), [SessionEvent::Ended(last, End::Reply(Reply::Status(Status::E_RANGE_ERROR)))]);
+}
+
+#[test]
+fn repeated_stop_may_get_two_replies() {
+    let mut rig = Rig::new();
+    for id in [id::STOP, id::FAST_STOP] {
+        rig.status(id, Status::E_SUCCESS);
+    }
+    rig.submit(Command::GetTemperature);
+    rig.written();
+    rig.status(id::GET_TEMPERATURE, Status::E_NOT_AVAILABLE);
+    assert_eq!(rig.written(), NOTHING, "no Loop");
+}
