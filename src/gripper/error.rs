@@ -221,11 +221,8 @@ pub enum Failure {
     #[error("the device did not answer {command} within {waited_ms} ms")]
     DeviceTimeout { command: &'static str, waited_ms: u64 },
     /// The device never received the request.
-    #[error(
-        "{command} was not sent, because the device did not reply to earlier requests within {waited_ms} ms: try again \
-             later"
-    )]
-    NotSent { command: &'static str, waited_ms: u64 },
+    #[error("{command} was not sent, because an earlier request still had no reply: try again later")]
+    NotSent { command: &'static str },
     #[error("unexpected reply from the device to {command}: {detail}")]
     DeviceProtocol { command: &'static str, detail: String },
     #[error("{limit} requests are already waiting for this gripper: try again later")]

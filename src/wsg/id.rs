@@ -209,7 +209,7 @@ pub const fn is_motion(id: u8) -> bool {
     matches!(id, HOMING | PRE_POSITION | GRIP | RELEASE)
 }
 
-/// Whether `id` belongs to a script on the device, because no manual describes it.
+/// Whether no manual describes `id`, so that it belongs to a script on the device.
 #[must_use]
 pub fn is_custom(id: u8) -> bool {
     describe(id).is_none()

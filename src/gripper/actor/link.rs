@@ -350,6 +350,7 @@ impl DeviceLink {
                 self.purposes.insert(token, purpose);
                 return Ok(token);
             }
+            Err(NotTaken::Unanswered) => Failure::NotSent { command: name },
             Err(NotTaken::Full) => Failure::Overloaded { limit: session::MAX_WAITING },
             Err(NotTaken::LineTime { line_ms }) => {
                 let max_ms = session::MAX_LINE_TIME_WHILE_MOVING.as_millis() as u64;

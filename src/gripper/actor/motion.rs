@@ -291,9 +291,7 @@ impl Actor {
 fn unanswered(command: &'static str, end: &End) -> Failure {
     let waited_ms = match end {
         End::Invalid(invalid) => return Failure::DeviceProtocol { command, detail: invalid.to_string() },
-        End::Unanswered { written: false, waited, .. } => {
-            return Failure::NotSent { command, waited_ms: waited.as_millis() as u64 };
-        }
+        End::Unanswered { written: false, .. } => return Failure::NotSent { command },
         End::Unanswered { waited, .. } => waited.as_millis() as u64,
         End::NoResult { .. } | End::Reply(_) => super::RESULT_WITHIN.as_millis() as u64,
     };

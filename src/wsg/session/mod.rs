@@ -16,8 +16,8 @@
 //! - After a timeout, an id stays closed until the echo of a later Loop (see `barrier`). A two-step id stays closed
 //!   until its late result arrives, or the device reports not MOVING after that echo. A script's id stays closed until
 //!   its late reply arrives, or for [`SCRIPT_REPLIES_WITHIN`]. FAST STOP and Stop never wait for this.
-//! - On a link that can duplicate frames, and once a reply without a request has arrived, an answered id also stays closed
-//!   until the echo of a later Loop.
+//! - On a link that can duplicate frames, an answered id also stays closed until the echo of a later Loop. So does an
+//!   id that has received a reply without a request.
 //!
 //! Architecture invariant: a request is written at most once. The session repeats only its own Loop.
 
@@ -26,7 +26,7 @@ mod lanes;
 mod received;
 mod slots;
 
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 use std::time::{Duration, Instant};
 
 use super::frame::{self, ChecksumEvaluation, Decoder, DecoderCounters};
@@ -46,8 +46,8 @@ pub const ABORT_GRACE: Duration = Duration::from_millis(250);
 /// Time limit for a late result from a device that has stopped moving.
 pub const RESULT_GRACE: Duration = Duration::from_secs(1);
 
-/// Time for which a script's late reply is awaited, counted from its request. Scripts run beside the device's own
-/// commands, so the echo of a later Loop does not mean that no reply can follow.
+/// Time for which a script's late reply is awaited, counted from its request, or from the time limit of its result.
+/// Scripts run beside the device's own commands, so the echo of a later Loop does not mean that no reply can follow.
 pub const SCRIPT_REPLIES_WITHIN: Duration = Duration::from_secs(10);
 
 /// Silence after which a Loop probes whether the device is still there.
@@ -90,6 +90,9 @@ pub enum NotTaken {
     /// [`MAX_WAITING`] requests are already waiting.
     #[error("{MAX_WAITING} requests are already waiting")]
     Full,
+    /// An earlier request of the same script had no reply, which can still arrive.
+    #[error("the script has not replied to an earlier request")]
+    Unanswered,
     /// The fingers are moving, and the request takes longer than [`MAX_LINE_TIME_WHILE_MOVING`] on the line.
     #[error("request would occupy the line for {line_ms} ms while the fingers move")]
     LineTime {
@@ -160,8 +163,8 @@ pub struct Session {
     events: VecDeque<SessionEvent>,
     counters: Counters,
     round_trip: Option<Duration>,
-    /// Whether the link can repeat a reply, or the device has done so.
-    repeats_replies: bool,
+    /// Ids that have received a reply without a request, so that others can follow.
+    repeated: BTreeSet<u8>,
     next_token: u64,
     moving: bool,
     last_heard: Instant,
@@ -175,7 +178,6 @@ impl Session {
     pub fn new(config: SessionConfig, now: Instant) -> Self {
         let barrier = Barrier::new(config.nonce_seed);
         Self {
-            repeats_replies: config.may_duplicate,
             config,
             decoder: Decoder::new(id::max_reply_bytes, ChecksumEvaluation::On),
             lanes: Lanes::default(),
@@ -184,6 +186,7 @@ impl Session {
             events: VecDeque::new(),
             counters: Counters::default(),
             round_trip: None,
+            repeated: BTreeSet::new(),
             next_token: 0,
             moving: false,
             last_heard: now,
@@ -194,11 +197,15 @@ impl Session {
     /// Queues a request. It ends with exactly one [`SessionEvent::Ended`], unless it is withdrawn.
     ///
     /// # Errors
-    /// [`NotTaken`] if the lane is full, or the request too long for the line while the fingers move. No event follows.
+    /// [`NotTaken`] if the lane is full, the script has not replied to an earlier request, or the request is too long
+    /// for the line while the fingers move. No event follows.
     pub fn submit(&mut self, now: Instant, request: Request) -> Result<Token, NotTaken> {
         let line_time = self.line_time_of(&request.command);
         if self.moving && line_time > MAX_LINE_TIME_WHILE_MOVING {
             return Err(NotTaken::LineTime { line_ms: line_time.as_millis() as u64 });
+        }
+        if self.slots.awaits_script(request.command.id()) {
+            return Err(NotTaken::Unanswered);
         }
         let token = Token(self.next_token);
         let deadline = now + request.reply_within + line_time;
@@ -400,7 +407,8 @@ impl Session {
             if matches!(slot.id, id::STOP | id::FAST_STOP) {
                 return false;
             }
-            let script_until = id::is_custom(slot.id).then(|| in_flight.sent_at + SCRIPT_REPLIES_WITHIN);
+            let since = if in_flight.accepted { now } else { in_flight.sent_at };
+            let script_until = id::is_custom(slot.id).then(|| since + SCRIPT_REPLIES_WITHIN);
             let two_step = in_flight.two_step;
             let closed = Closed { two_step, script_until, ..Closed::until_echo(barrier.want()) };
             slot.state = SlotState::Closed(closed);

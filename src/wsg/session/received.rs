@@ -39,8 +39,7 @@ impl Session {
             // Automatic updates are not stray replies.
             if !id::has_updates(id) {
                 self.counters.stray_replies += 1;
-                // A stop is repeated before its reply has arrived, so it can get two.
-                self.repeats_replies |= !matches!(id, id::STOP | id::FAST_STOP);
+                self.repeated.insert(id);
             }
             return;
         };
@@ -81,9 +80,9 @@ impl Session {
 
     /// Ends the wait of an id whose request got its last reply.
     fn open_or_await_duplicates(&mut self, id: u8) {
-        let is_repeated = self.repeats_replies && !matches!(id, id::STOP | id::FAST_STOP) && !id::has_updates(id);
+        let may_be_repeated = self.config.may_duplicate || self.repeated.contains(&id);
         match self.slots.get_mut(id) {
-            Some(slot) if is_repeated => {
+            Some(slot) if may_be_repeated && !matches!(id, id::STOP | id::FAST_STOP) && !id::has_updates(id) => {
                 slot.state = SlotState::Closed(Closed::until_echo(self.barrier.want()));
             }
             _ => self.slots.open(id),

@@ -125,6 +125,12 @@ impl Slots {
         })
     }
 
+    /// Whether the script with this id can still reply to an earlier request.
+    pub(super) fn awaits_script(&self, id: u8) -> bool {
+        let awaits = |slot: &Slot| matches!(&slot.state, SlotState::Closed(closed) if closed.script_until.is_some());
+        self.0.iter().any(|slot| slot.id == id && awaits(slot))
+    }
+
     /// The next time at which a script's id no longer waits for its reply.
     pub(super) fn script_deadline(&self) -> Option<Instant> {
         let until = |slot: &Slot| match &slot.state {

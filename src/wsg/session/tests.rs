@@ -39,6 +39,11 @@ impl Rig {
         self.session.submit(self.now, Request { command, reply_within: ANSWER, result_within: RESULT }).unwrap()
     }
 
+    fn refused(&mut self, command: Command) -> NotTaken {
+        let request = Request { command, reply_within: ANSWER, result_within: RESULT };
+        self.session.submit(self.now, request).unwrap_err()
+    }
+
     /// Ids of the frames handed out now.
     fn written(&mut self) -> Vec<u8> {
         let mut ids = Vec::new();

@@ -100,11 +100,11 @@ fn late_reply_of_a_script_does_not_end_its_next_request() {
     let echo = rig.echo_of_written_loop();
     rig.session.receive(rig.now, &echo);
     rig.events();
-    let second = rig.submit(script(2));
-    assert_eq!(rig.written(), NOTHING, "the script still runs, although the device echoes");
+    assert_eq!(rig.refused(script(2)), NotTaken::Unanswered, "the script still runs, although the device echoes");
     rig.reply(0xB3, &script_reply(1));
     assert_eq!(rig.events(), NO_EVENTS);
     assert_eq!(rig.session.counters().late_replies, 1);
+    let second = rig.submit(script(2));
     assert_eq!(rig.written(), [0xB3]);
     rig.reply(0xB3, &script_reply(2));
     assert_eq!(rig.events(), [SessionEvent::Ended(second, End::Reply(script_reply(2)))]);
@@ -120,23 +120,18 @@ fn script_without_a_reply_can_be_called_again_after_a_while() {
         let echo = rig.echo_of_written_loop();
         rig.session.receive(rig.now, &echo);
     }
-    let second = rig.submit(script(2));
-    assert_eq!(rig.written(), NOTHING);
+    rig.events();
     assert_eq!(rig.session.poll_timeout(), Some(rig.now + ANSWER));
     rig.pass(ANSWER - Duration::from_millis(1));
-    assert_eq!(rig.written(), NOTHING);
-    let third = rig.submit(script(3));
+    assert_eq!(rig.refused(script(2)), NotTaken::Unanswered);
     rig.pass(Duration::from_millis(1));
+    let second = rig.submit(script(2));
     let echo = rig.echo_of_written_loop();
     assert_eq!(rig.written(), NOTHING, "the late reply can be before the echo");
-    let waited = ANSWER;
-    assert!(
-        rig.events().contains(&SessionEvent::Ended(second, End::Unanswered { written: false, stopped: false, waited }))
-    );
     rig.session.receive(rig.now, &echo);
     assert_eq!(rig.written(), [0xB3]);
-    rig.reply(0xB3, &script_reply(3));
-    assert_eq!(rig.events(), [SessionEvent::Ended(third, End::Reply(script_reply(3)))]);
+    rig.reply(0xB3, &script_reply(2));
+    assert_eq!(rig.events(), [SessionEvent::Ended(second, End::Reply(script_reply(2)))]);
 }
 
 #[test]
@@ -148,8 +143,8 @@ fn duplicate_of_a_late_reply_does_not_end_the_next_request() {
     let echo = rig.echo_of_written_loop();
     rig.session.receive(rig.now, &echo);
     rig.events();
-    rig.submit(script(2));
     rig.reply(0xB3, &script_reply(1));
+    rig.submit(script(2));
     let echo = rig.echo_of_written_loop();
     rig.reply(0xB3, &script_reply(1));
     assert_eq!((rig.written(), rig.events()), (NOTHING.to_vec(), NO_EVENTS.to_vec()));
@@ -256,13 +251,28 @@ fn device_that_has_repeated_a_reply_does_not_end_a_later_request_with_another() 
 }
 
 #[test]
-fn repeated_stop_may_get_two_replies() {
+fn reply_too_many_closes_no_other_id() {
     let mut rig = Rig::new();
-    for id in [id::STOP, id::FAST_STOP] {
+    for id in [id::STOP, id::FAST_STOP, id::SET_FORCE_LIMIT] {
         rig.status(id, Status::E_SUCCESS);
     }
-    rig.submit(Command::GetTemperature);
+    for command in [Command::GetTemperature, Command::Stop, Command::FastStop] {
+        let id = command.id();
+        rig.submit(command);
+        rig.written();
+        rig.status(id, Status::E_NOT_AVAILABLE);
+        assert_eq!(rig.written(), NOTHING, "no Loop");
+    }
+}
+
+#[test]
+fn result_of_an_accepted_script_is_awaited_beyond_its_time_limit() {
+    let mut rig = Rig::new();
+    rig.submit(script(1));
     rig.written();
-    rig.status(id::GET_TEMPERATURE, Status::E_NOT_AVAILABLE);
-    assert_eq!(rig.written(), NOTHING, "no Loop");
+    rig.status(0xB3, Status::E_CMD_PENDING);
+    rig.pass(RESULT);
+    assert_eq!(rig.refused(script(2)), NotTaken::Unanswered);
+    rig.pass(SCRIPT_REPLIES_WITHIN);
+    rig.submit(script(2));
 }
