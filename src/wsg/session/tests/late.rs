@@ -87,6 +87,16 @@ fn script(payload: u8) -> Command {
     Command::Custom(CustomCommand::new(0xB3, vec![payload]).unwrap())
 }
 
+/// Lets a request time out, and echoes the Loop after it.
+fn time_out(rig: &mut Rig, command: Command) {
+    rig.submit(command);
+    rig.written();
+    rig.pass(ANSWER);
+    let echo = rig.echo_of_written_loop();
+    rig.session.receive(rig.now, &echo);
+    rig.events();
+}
+
 fn script_reply(payload: u8) -> Reply {
     Reply::Success(Data::Custom(vec![payload]))
 }
@@ -94,12 +104,7 @@ fn script_reply(payload: u8) -> Reply {
 #[test]
 fn late_reply_of_a_script_does_not_end_its_next_request() {
     let mut rig = Rig::new();
-    rig.submit(script(1));
-    rig.written();
-    rig.pass(ANSWER);
-    let echo = rig.echo_of_written_loop();
-    rig.session.receive(rig.now, &echo);
-    rig.events();
+    time_out(&mut rig, script(1));
     assert_eq!(rig.refused(script(2)), NotTaken::Unanswered, "the script still runs, although the device echoes");
     rig.reply(0xB3, &script_reply(1));
     assert_eq!(rig.events(), NO_EVENTS);
@@ -113,18 +118,15 @@ fn late_reply_of_a_script_does_not_end_its_next_request() {
 #[test]
 fn script_without_a_reply_can_be_called_again_after_a_while() {
     let mut rig = Rig::new();
-    rig.submit(script(1));
-    rig.written();
-    for time in [ANSWER, SCRIPT_REPLIES_WITHIN - 2 * ANSWER] {
-        rig.pass(time);
-        let echo = rig.echo_of_written_loop();
-        rig.session.receive(rig.now, &echo);
-    }
-    rig.events();
+    time_out(&mut rig, script(1));
+    // The device stays silent, so the session probes it.
+    rig.pass(SCRIPT_REPLIES_WITHIN.saturating_sub(2 * ANSWER));
+    let echo = rig.echo_of_written_loop();
+    rig.session.receive(rig.now, &echo);
     assert_eq!(rig.session.poll_timeout(), Some(rig.now + ANSWER));
-    rig.pass(ANSWER - Duration::from_millis(1));
+    rig.pass(ANSWER / 2);
     assert_eq!(rig.refused(script(2)), NotTaken::Unanswered);
-    rig.pass(Duration::from_millis(1));
+    rig.pass(ANSWER / 2);
     let second = rig.submit(script(2));
     let echo = rig.echo_of_written_loop();
     assert_eq!(rig.written(), NOTHING, "the late reply can be before the echo");
@@ -137,12 +139,7 @@ fn script_without_a_reply_can_be_called_again_after_a_while() {
 #[test]
 fn duplicate_of_a_late_reply_does_not_end_the_next_request() {
     let mut rig = Rig::on_datagrams();
-    rig.submit(script(1));
-    rig.written();
-    rig.pass(ANSWER);
-    let echo = rig.echo_of_written_loop();
-    rig.session.receive(rig.now, &echo);
-    rig.events();
+    time_out(&mut rig, script(1));
     rig.reply(0xB3, &script_reply(1));
     rig.submit(script(2));
     let echo = rig.echo_of_written_loop();
