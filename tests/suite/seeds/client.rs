@@ -232,7 +232,7 @@ impl Clients {
         Self::exchange_as(world, command, client(), None);
     }
 
-    /// Returns whether the request was refused at once.
+    /// Returns whether the request was refused at once, before it could renew the lease.
     fn exchange_as(world: &mut World, command: Command, client: Client, lease: Option<LeaseToken>) -> bool {
         let expected = match &command {
             Command::Loop(data) => Some(Data::Loop(data.as_bytes().to_vec())),
@@ -245,7 +245,7 @@ impl Clients {
         world.actor.request(now, ActorRequest::Exchange { command, client, lease, answer: (None, answer) });
         if let Ok(Err(rejection)) = answered.try_recv() {
             world.note(&format!("  {rejection}"));
-            return true;
+            return !matches!(rejection, Rejection::Failure(Failure::NotSent { .. }));
         }
         world.clients.exchanges.push(Exchange { answered, expected });
         false

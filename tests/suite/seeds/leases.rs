@@ -259,9 +259,9 @@ impl Leases {
 
     /// Records that a driver has used a script, which renews the lease if the driver holds it.
     pub fn scripted(world: &mut World, token: LeaseToken) {
-        // An expired lease that no step has seen since is not renewed.
-        let alive = Self::is_alive(world);
-        if let Some(current) = world.leases.current.as_mut().filter(|current| alive && current.token == token) {
+        // A lease can have expired since the last step.
+        let is_held = world.watches.state.borrow().lease_holder.is_some();
+        if let Some(current) = world.leases.current.as_mut().filter(|current| is_held && current.token == token) {
             current.used = world.now;
         }
         world.leases.scripted = Some(token);
