@@ -1,10 +1,11 @@
 //! A thousand observers, a hundred of which read nothing, with a flood of refused motions. The bench measures the time
 //! of a FAST STOP to the device, compared with an idle gateway in the same run. It checks that every reading observer
-//! gets every event. It compares memory and processor time with a Mosquitto that fans out the same bytes.
+//! gets every event. Before the flood and the stalled observers, it compares the processor time of each delivery with that
+//! of a Mosquitto that fans out the same bytes.
 //!
 //! `cargo bench --bench observers`. Variables: `OBSERVERS` (1000), `STALLED` (100), `HZ` (50), `STOPS` (200 idle and
-//! 200 loaded, each of a motion) and `SECONDS` (10 per fan-out). Times are noisy; compare the ratios. Mosquitto is skipped if it is not
-//! installed.
+//! 200 loaded, each of a motion) and `SECONDS` (10 per fan-out). Times are noisy; compare the ratios. Mosquitto is skipped
+//! if it is not installed.
 //!
 //! The observers run in a separate process with idle priority (`chrt --idle`, from util-linux). With two or more
 //! processors, the last one runs the observers, the clients and the device, and the gateway has the others (`taskset`),
@@ -53,8 +54,17 @@ impl Crowd {
         Ok(crowd)
     }
 
+    /// Starts the stalled observers and the flood.
+    fn disturb(&mut self) -> Result<(), Error> {
+        self.ask(crowd::DISTURB).map(drop)
+    }
+
     fn report(&mut self) -> Result<Value, Error> {
-        writeln!(self.asks)?;
+        self.ask("")
+    }
+
+    fn ask(&mut self, what: &str) -> Result<Value, Error> {
+        writeln!(self.asks, "{what}")?;
         let mut line = String::new();
         self.says.read_line(&mut line)?;
         if line.is_empty() {
@@ -121,7 +131,9 @@ fn main() -> Result<(), Error> {
     let before = gateway.memory()?;
     let mut crowd = Crowd::start("websocket", &address)?;
     stopper.begin_motion()?;
-    let fan_out = fan_out(&mut crowd, &gateway, seconds)?;
+    let cost = fan_out("gateway", &mut crowd, &gateway, seconds)?;
+    let observed = gateway.memory()?;
+    crowd.disturb()?;
     // Each observer's buffers grow with its first events.
     stops(&stopper, WARM_UP)?;
     let begun = gateway.memory()?;
@@ -136,38 +148,42 @@ fn main() -> Result<(), Error> {
         println!("FAST STOP to the device, {name} of {count}: idle {idle:?}, loaded {loaded:?}, ratio {ratio:.2}");
     }
     println!(
-        "memory: {before:.1} MiB idle, {begun:.1} MiB loaded ({:.1} KiB for each observer), {ended:.1} MiB at the end \
-         ({:+.1} %)",
-        (begun - before) * 1024.0 / observers as f64,
+        "memory: {before:.1} MiB idle, {observed:.1} MiB with observers ({:.1} KiB for each), {begun:.1} MiB with the \
+         flood, {ended:.1} MiB at the end ({:+.1} %)",
+        (observed - before) * 1024.0 / (observers - stalled) as f64,
         (ended / begun - 1.0) * 100.0
     );
     println!(
         "events: {} observers got all of them, {} missed some; {} motions were refused",
         report["complete"], report["incomplete"], report["refused"]
     );
-    println!("gateway:   {fan_out}");
     drop((crowd, gateway));
-    mosquitto(seconds, processors.as_deref())
+    let Some(peer) = mosquitto(seconds, processors.as_deref())? else {
+        println!("mosquitto: not installed");
+        return Ok(());
+    };
+    println!("deliveries for the same processor time, compared with Mosquitto: ratio {:.2}", peer / cost);
+    Ok(())
 }
 
-/// Returns the delivery rate over some seconds, and its processor time.
-fn fan_out(crowd: &mut Crowd, server: &Running, seconds: usize) -> Result<String, Error> {
+/// Measures deliveries for some seconds. Returns the processor time of a million, in seconds.
+fn fan_out(name: &str, crowd: &mut Crowd, server: &Running, seconds: usize) -> Result<f64, Error> {
     let delivered = |crowd: &mut Crowd| crowd.report().map(|report| report["delivered"].as_f64().unwrap_or_default());
     let (begun, before, time) = (Instant::now(), delivered(crowd)?, server.time()?);
     std::thread::sleep(Duration::from_secs(seconds as u64));
     let (count, time) = (delivered(crowd)? - before, server.time()? - time);
     let per_second = count / begun.elapsed().as_secs_f64();
-    Ok(format!("{per_second:.0} deliveries/s, {:.1} s of processor time per million", time / count * 1e6))
+    let cost = time / count * 1e6;
+    println!("{name}: {per_second:.0} deliveries/s, {cost:.1} s of processor time per million");
+    Ok(cost)
 }
 
-fn mosquitto(seconds: usize, processors: Option<&str>) -> Result<(), Error> {
+/// Measures Mosquitto, if it is installed.
+fn mosquitto(seconds: usize, processors: Option<&str>) -> Result<Option<f64>, Error> {
     let port = TcpListener::bind("127.0.0.1:0")?.local_addr()?.port();
     let mut command = Command::new("mosquitto");
     let started = command.args(["-p", &port.to_string()]).stdout(Stdio::null()).stderr(Stdio::null()).spawn();
-    let Ok(child) = started else {
-        println!("mosquitto: not installed");
-        return Ok(());
-    };
+    let Ok(child) = started else { return Ok(None) };
     let server = Running(child);
     let address = format!("127.0.0.1:{port}");
     while std::net::TcpStream::connect(&address).is_err() {}
@@ -175,6 +191,5 @@ fn mosquitto(seconds: usize, processors: Option<&str>) -> Result<(), Error> {
         bind(server.0.id(), processors)?;
     }
     let mut crowd = Crowd::start("mqtt", &address)?;
-    println!("mosquitto: {}", fan_out(&mut crowd, &server, seconds)?);
-    Ok(())
+    fan_out("mosquitto", &mut crowd, &server, seconds).map(Some)
 }

@@ -40,6 +40,9 @@ struct Seen {
     all_until: Vec<AtomicI64>,
 }
 
+/// Input line that starts the stalled observers and the flood.
+pub const DISTURB: &str = "disturb";
+
 /// Runs the observers, and prints one report per input line, starting once all are connected.
 pub fn run(what: &str, address: &str) -> Result<(), Error> {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
@@ -58,19 +61,19 @@ pub fn run(what: &str, address: &str) -> Result<(), Error> {
     if what == "mqtt" {
         let address = address.to_owned();
         runtime.spawn(async move { tell("publisher", &publisher(&address).await) });
-    } else {
-        for _ in 0..stalled {
-            let address = address.to_owned();
-            runtime.spawn(async move { tell("stalled observer", &staller(&address).await) });
-        }
-        let (seen, address) = (seen.clone(), address.to_owned());
-        runtime.spawn(async move { tell("flood", &flood(&address, &seen).await) });
     }
     while seen.ready.load(Ordering::Relaxed) < healthy as u64 {
         std::thread::sleep(Duration::from_millis(10));
     }
     for line in std::io::stdin().lock().lines() {
-        line?;
+        if line? == DISTURB {
+            for _ in 0..stalled {
+                let address = address.to_owned();
+                runtime.spawn(async move { tell("stalled observer", &staller(&address).await) });
+            }
+            let (seen, address) = (seen.clone(), address.to_owned());
+            runtime.spawn(async move { tell("flood", &flood(&address, &seen).await) });
+        }
         let newest = seen.newest.load(Ordering::Relaxed);
         let complete = seen.all_until.iter().filter(|until| until.load(Ordering::Relaxed) == newest).count();
         let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
