@@ -16,8 +16,8 @@
 //! - After a timeout, an id stays closed until the echo of a later Loop (see `barrier`). A two-step id stays closed
 //!   until its late result arrives, or the device reports not MOVING after that echo. A script's id stays closed until
 //!   its late reply arrives, or for [`SCRIPT_REPLIES_WITHIN`]. FAST STOP and Stop never wait for this.
-//! - On a link that can duplicate frames, an answered id also stays closed until the echo of a later Loop. So does an
-//!   id that has received a reply without a request.
+//! - On a link that can duplicate frames, an answered id also stays closed until the echo of a later Loop, and for at
+//!   least [`DUPLICATE_WITHIN`]. An id that has received a reply without a request stays closed until that echo.
 //!
 //! Architecture invariant: a request is written at most once. The session repeats only its own Loop.
 
@@ -49,6 +49,9 @@ pub const RESULT_GRACE: Duration = Duration::from_secs(1);
 /// Time for which a script's late reply is awaited, counted from its request, or from the time limit of its result.
 /// Scripts run beside the device's own commands, so the echo of a later Loop does not mean that no reply can follow.
 pub const SCRIPT_REPLIES_WITHIN: Duration = Duration::from_secs(10);
+
+/// Time for which a duplicate of a reply is awaited. A network can delay it beyond the echo of a later Loop.
+pub const DUPLICATE_WITHIN: Duration = Duration::from_millis(5);
 
 /// Silence after which a Loop probes whether the device is still there.
 pub const PROBE_AFTER: Duration = Duration::from_millis(500);
@@ -252,6 +255,7 @@ impl Session {
         }
         self.expire_in_flight(now);
         self.expire_scripts(now);
+        self.slots.expire_duplicates(now);
         if now >= self.last_heard + PROBE_AFTER {
             self.barrier.probe();
         }
@@ -291,7 +295,8 @@ impl Session {
         let in_flight = self.slots.in_flight().map(|(_, in_flight)| in_flight.deadline).min();
         let probe = (!self.barrier.is_in_flight() && !self.barrier.is_wanted()).then(|| self.last_heard + PROBE_AFTER);
         let (waiting, script) = (self.lanes.next_deadline(), self.slots.script_deadline());
-        let deadlines = [in_flight, waiting, script, self.barrier.deadline(), self.partial_deadline(), probe];
+        let (barrier, duplicate) = (self.barrier.deadline(), self.slots.duplicate_deadline());
+        let deadlines = [in_flight, waiting, script, duplicate, barrier, self.partial_deadline(), probe];
         deadlines.into_iter().flatten().min()
     }
 

@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use super::barrier::Echo;
 use super::slots::{Closed, SlotState, Verdict};
-use super::{End, Session, SessionEvent};
+use super::{DUPLICATE_WITHIN, End, Session, SessionEvent};
 use crate::wsg::frame::Decoded;
 use crate::wsg::reply::{Data, InvalidReply, Reply};
 use crate::wsg::{Status, SystemState, id};
@@ -60,7 +60,7 @@ impl Session {
                     if !in_flight.accepted {
                         self.round_trip = Some(now.saturating_duration_since(in_flight.sent_at));
                     }
-                    self.open_or_await_duplicates(id);
+                    self.open_or_await_duplicates(now, id);
                     if matches!(id, id::STOP | id::FAST_STOP) && reply.status() == Status::E_SUCCESS {
                         self.expect_aborts_before(now, order);
                     }
@@ -72,18 +72,19 @@ impl Session {
                 self.counters.late_replies += 1;
                 // This is the late result itself.
                 if closed.awaits_result() && reply.status() != Status::E_CMD_PENDING {
-                    self.open_or_await_duplicates(id);
+                    self.open_or_await_duplicates(now, id);
                 }
             }
         }
     }
 
     /// Ends the wait of an id whose request got its last reply.
-    fn open_or_await_duplicates(&mut self, id: u8) {
+    fn open_or_await_duplicates(&mut self, now: Instant, id: u8) {
         let may_be_repeated = self.config.may_duplicate || self.repeated.contains(&id);
         match self.slots.get_mut(id) {
             Some(slot) if may_be_repeated && !matches!(id, id::STOP | id::FAST_STOP) && !id::has_updates(id) => {
-                slot.state = SlotState::Closed(Closed::until_echo(self.barrier.want()));
+                let duplicate_until = self.config.may_duplicate.then(|| now + DUPLICATE_WITHIN);
+                slot.state = SlotState::Closed(Closed { duplicate_until, ..Closed::until_echo(self.barrier.want()) });
             }
             _ => self.slots.open(id),
         }
@@ -99,7 +100,7 @@ impl Session {
             Echo::Ours(generation) => self.slots.retain(|slot| match &mut slot.state {
                 SlotState::Closed(closed) if closed.since < generation && closed.script_until.is_none() => {
                     closed.echoed = true;
-                    closed.two_step
+                    closed.two_step || closed.duplicate_until.is_some_and(|until| now < until)
                 }
                 _ => true,
             }),
@@ -113,7 +114,9 @@ impl Session {
         if let Data::SystemState(flags) = data {
             self.moving = flags.contains(SystemState::MOVING);
             if !self.moving {
-                self.slots.retain(|slot| !matches!(&slot.state, SlotState::Closed(closed) if closed.echoed));
+                self.slots.retain(
+                    |slot| !matches!(&slot.state, SlotState::Closed(closed) if closed.echoed && closed.two_step),
+                );
             }
         }
         self.events.push_back(SessionEvent::Update(data));

@@ -45,12 +45,14 @@ pub(super) struct Closed {
     pub two_step: bool,
     /// Time until which a script can still reply, whatever has been echoed.
     pub script_until: Option<Instant>,
+    /// Time until which a duplicate datagram can overtake the echo.
+    pub duplicate_until: Option<Instant>,
 }
 
 impl Closed {
     /// Closes an id until the echo of a Loop newer than `since`.
     pub(super) fn until_echo(since: LoopGeneration) -> Self {
-        Self { since, echoed: false, two_step: false, script_until: None }
+        Self { since, echoed: false, two_step: false, script_until: None, duplicate_until: None }
     }
 
     /// Whether the reply to the last request can arrive after the echo.
@@ -118,6 +120,13 @@ impl Slots {
         self.0.retain_mut(keep);
     }
 
+    fn closed(&self) -> impl Iterator<Item = (u8, &Closed)> {
+        self.0.iter().filter_map(|slot| match &slot.state {
+            SlotState::Closed(closed) => Some((slot.id, closed)),
+            SlotState::InFlight(_) => None,
+        })
+    }
+
     pub(super) fn closed_mut(&mut self) -> impl Iterator<Item = &mut Closed> {
         self.0.iter_mut().filter_map(|slot| match &mut slot.state {
             SlotState::Closed(closed) => Some(closed),
@@ -127,17 +136,25 @@ impl Slots {
 
     /// Whether the script with this id can still reply to an earlier request.
     pub(super) fn awaits_script(&self, id: u8) -> bool {
-        let awaits = |slot: &Slot| matches!(&slot.state, SlotState::Closed(closed) if closed.script_until.is_some());
-        self.0.iter().any(|slot| slot.id == id && awaits(slot))
+        self.closed().any(|(closed_id, closed)| closed_id == id && closed.script_until.is_some())
     }
 
     /// The next time at which a script's id no longer waits for its reply.
     pub(super) fn script_deadline(&self) -> Option<Instant> {
-        let until = |slot: &Slot| match &slot.state {
-            SlotState::Closed(closed) => closed.script_until,
-            SlotState::InFlight(_) => None,
-        };
-        self.0.iter().filter_map(until).min()
+        self.closed().filter_map(|(_, closed)| closed.script_until).min()
+    }
+
+    /// The next time at which an id opens whose echo has arrived before a possible duplicate.
+    pub(super) fn duplicate_deadline(&self) -> Option<Instant> {
+        self.closed().filter(|(_, closed)| closed.echoed).filter_map(|(_, closed)| closed.duplicate_until).min()
+    }
+
+    /// Opens the ids that have waited long enough for a duplicate after the echo.
+    pub(super) fn expire_duplicates(&mut self, now: Instant) {
+        self.retain(|slot| match &slot.state {
+            SlotState::Closed(closed) => !(closed.echoed && closed.duplicate_until.is_some_and(|until| until <= now)),
+            SlotState::InFlight(_) => true,
+        });
     }
 
     pub(super) fn in_flight_mut(&mut self) -> impl Iterator<Item = (u8, &mut InFlight)> {

@@ -38,6 +38,10 @@ fn new_setup_keeps_the_value_of_a_setter_in_flight() {
     rig.device.force_n = 30.0;
     rig.reply(id::SET_FORCE_LIMIT, Status::E_SUCCESS, &[]);
     rig.exchange();
+    // Setup continues once no duplicate can follow, and so does the read-back.
+    for _ in 0..2 {
+        rig.pass(10);
+    }
     assert_eq!(rig.state().link, crate::gripper::model::Link::Connected);
     assert_eq!(answered.try_recv().unwrap(), Ok(Data::ForceLimit(Force::new(30.0).unwrap())));
     assert!((rig.device.force_n - 30.0).abs() < 0.1, "{} N", rig.device.force_n);

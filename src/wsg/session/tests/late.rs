@@ -146,6 +146,7 @@ fn duplicate_of_a_late_reply_does_not_end_the_next_request() {
     rig.reply(0xB3, &script_reply(1));
     assert_eq!((rig.written(), rig.events()), (NOTHING.to_vec(), NO_EVENTS.to_vec()));
     rig.session.receive(rig.now, &echo);
+    rig.pass(DUPLICATE_WITHIN);
     assert_eq!(rig.written(), [0xB3]);
 }
 
@@ -200,6 +201,11 @@ fn duplicate_reply_does_not_end_next_request_of_its_id() {
     rig.status(id::SET_FORCE_LIMIT, Status::E_SUCCESS);
     assert_eq!(rig.events(), NO_EVENTS, "duplicate of the first reply");
     rig.session.receive(rig.now, &echo);
+    assert_eq!(rig.written(), NOTHING);
+    rig.status(id::SET_FORCE_LIMIT, Status::E_SUCCESS);
+    assert_eq!(rig.events(), NO_EVENTS, "duplicate that the echo has overtaken");
+    assert_eq!(rig.session.poll_timeout(), Some(rig.now + DUPLICATE_WITHIN));
+    rig.pass(DUPLICATE_WITHIN);
     assert_eq!(rig.written(), [id::SET_FORCE_LIMIT]);
     rig.status(id::SET_FORCE_LIMIT, Status::E_RANGE_ERROR);
     assert_eq!(rig.events(), [SessionEvent::Ended(second, End::Reply(Reply::Status(Status::E_RANGE_ERROR)))]);
