@@ -25,6 +25,8 @@ pub(super) struct Drain {
     until: Instant,
     /// Whether 07h was handed out.
     has_announced: bool,
+    /// Whether a Stop was one of the last requests.
+    has_stopped: bool,
     ending: Ending,
 }
 
@@ -64,11 +66,6 @@ impl Drain {
         self.stage = Stage::Announced;
     }
 
-    /// Ends the wait for the last requests: the device has executed them, refused them or not replied.
-    pub(super) fn answered(&mut self) {
-        self.stage = Stage::Over;
-    }
-
     pub(super) fn next_timeout(&self) -> Option<Instant> {
         (self.stage != Stage::Over).then_some(self.until)
     }
@@ -96,7 +93,7 @@ impl Actor {
     fn begin_drain(&mut self, now: Now, ending: Ending) {
         tracing::info!(gripper = %self.config.name, "draining");
         let until = now.instant + self.config.drain;
-        self.drain = Some(Drain { stage: Stage::Finishing, until, has_announced: false, ending });
+        self.drain = Some(Drain { stage: Stage::Finishing, until, has_announced: false, has_stopped: false, ending });
     }
 
     /// Releases the device to another program. The client is answered once the link is closed and no attempt to
@@ -215,23 +212,50 @@ impl Actor {
     /// Sends the last requests: 07h if the transport has connections. Otherwise the updates are switched off, which
     /// would go on without the gateway, after a Stop if the fingers move.
     fn leave(&mut self, now: Now) {
-        let last = if self.link.is_down() {
-            Vec::new()
-        } else if self.link.properties.connection_oriented {
-            vec![Command::DisconnectAnnouncement]
-        } else {
-            let stop = self.observed.has(SystemState::MOVING).then_some(Command::Stop);
-            stop.into_iter().chain(observed::switch_off_all()).collect()
-        };
         let mut is_sent = false;
-        for command in last {
-            let sent = self.link.submit_within(now, command, Purpose::Announce, ANSWERED_WITHIN, ANSWERED_WITHIN);
-            is_sent |= sent.is_ok();
+        if !self.link.is_down() {
+            if self.link.properties.connection_oriented {
+                is_sent = self.submit_last(now, Command::DisconnectAnnouncement);
+            } else {
+                is_sent = self.stop_before_leaving(now);
+                for command in observed::switch_off_all() {
+                    is_sent |= self.submit_last(now, command);
+                }
+            }
         }
         if let Some(drain) = &mut self.drain {
             drain.stage = if is_sent { Stage::Announcing } else { Stage::Over };
             // Longer than the session's own deadlines for writing and for the reply.
             drain.until = now.instant + 3 * ANSWERED_WITHIN;
+        }
+    }
+
+    fn submit_last(&mut self, now: Now, command: Command) -> bool {
+        self.link.submit_within(now, command, Purpose::Announce, ANSWERED_WITHIN, ANSWERED_WITHIN).is_ok()
+    }
+
+    /// Sends one Stop if the fingers move, on a transport without connections. Returns whether it was sent now.
+    fn stop_before_leaving(&mut self, now: Now) -> bool {
+        let moves = self.observed.has(SystemState::MOVING) && !self.link.properties.connection_oriented;
+        if !moves || self.drain.as_ref().is_none_or(|drain| drain.has_stopped) {
+            return false;
+        }
+        let is_sent = self.submit_last(now, Command::Stop);
+        if let Some(drain) = &mut self.drain {
+            drain.has_stopped = is_sent;
+        }
+        is_sent
+    }
+
+    /// Takes the end of one of the last requests: the device has executed it, refused it or not replied. After all of
+    /// them, the link can be closed, unless the fingers have begun to move meanwhile.
+    pub(super) fn last_request_ended(&mut self, now: Now) {
+        let is_last = !self.link.purposes.values().any(|other| matches!(other, Purpose::Announce));
+        if is_last
+            && !self.stop_before_leaving(now)
+            && let Some(drain) = &mut self.drain
+        {
+            drain.stage = Stage::Over;
         }
     }
 }

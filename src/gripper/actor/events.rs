@@ -179,12 +179,7 @@ impl Actor {
                 self.take_exchange_end(now, exchange, end);
             }
             Purpose::Read(id) => self.read_ended(now, id, end),
-            Purpose::Announce => {
-                let is_last = !self.link.purposes.values().any(|other| matches!(other, Purpose::Announce));
-                if let Some(drain) = self.drain.as_mut().filter(|_| is_last) {
-                    drain.answered();
-                }
-            }
+            Purpose::Announce => self.last_request_ended(now),
         }
     }
 

@@ -3,6 +3,7 @@
 
 mod bounds;
 mod device_faults;
+mod drain;
 mod drivers;
 mod faults;
 mod leases;

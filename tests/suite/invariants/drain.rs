@@ -1,0 +1,25 @@
+//! Orderly disconnects.
+
+use std::time::Duration;
+
+use wsg_gateway::gripper::handle::ActorRequest;
+use wsg_gateway::sim::{Change, Interface};
+use wsg_gateway::wsg::id;
+
+use super::steps::*;
+use crate::seeds::world::World;
+
+#[test]
+fn fingers_that_begin_to_move_while_updates_are_switched_off_are_stopped() {
+    // Over TCP, nothing may follow the announcement.
+    let mut world = World::calm_on(Interface::Udp, device(), None);
+    run(&mut world, home());
+    world.advance(Duration::from_secs(1));
+    let from = mark(&world);
+    drop(request(&mut world, |answer| ActorRequest::Drain { answer }));
+    world.settle();
+    world.device.apply(world.now, Change::MoveBySomebody { width_mm: 30.0, speed_mm_s: 20.0 });
+    world.advance(Duration::from_secs(1));
+    assert!(received(&world, from).ends_with(&[id::STOP]));
+    assert!(!world.device.snapshot().moving);
+}
