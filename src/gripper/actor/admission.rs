@@ -140,9 +140,6 @@ impl Actor {
         }
         // A token without a lease renews nothing.
         let _ = self.lease.renew(now.instant, lease);
-        if self.is_script(&command) {
-            self.note_script(now, &client, lease);
-        }
         if let Some(data) = self.observed.newest(command.id()) {
             // Sending the getter would switch its automatic updates off.
             self.answers.add(answer, Ok(data));
@@ -159,10 +156,13 @@ impl Actor {
         if is_slow_getter(&command) {
             return self.read(now, command, answer);
         }
-        let lease = lease.cloned();
-        let exchange = Exchange { command: command.clone(), answer, accepted, setter: None, client, lease };
-        let purpose = Purpose::Exchange(exchange);
-        self.submit_exchange(now, command, purpose);
+        let script_client = self.is_script(&command).then(|| client.clone());
+        let exchange =
+            Exchange { command: command.clone(), answer, accepted, setter: None, client, lease: lease.cloned() };
+        let is_submitted = self.submit_exchange(now, command, Purpose::Exchange(exchange));
+        if let Some(client) = script_client.filter(|_| is_submitted) {
+            self.note_script(now, &client, lease);
+        }
     }
 
     fn check_exchange(
@@ -259,12 +259,13 @@ impl Actor {
         self.submit_exchange(now, getter, purpose);
     }
 
-    fn submit_exchange(&mut self, now: Now, command: Command, purpose: Purpose) {
-        if let Err(not_taken) = self.link.submit(now, command, purpose)
-            && let (rejection, Purpose::Exchange(exchange)) = *not_taken
-        {
+    /// Returns `false` if the session did not take the request, whose answer is then the rejection.
+    fn submit_exchange(&mut self, now: Now, command: Command, purpose: Purpose) -> bool {
+        let Err(not_taken) = self.link.submit(now, command, purpose) else { return true };
+        if let (rejection, Purpose::Exchange(exchange)) = *not_taken {
             self.answers.add(exchange.answer, Err(rejection));
         }
+        false
     }
 
     /// Notes and persists a value that was read back.

@@ -166,17 +166,22 @@ fn script_runs_during_a_motion_but_not_in_fast_stop() {
     assert!(!received(&world, from).contains(&SCRIPT_ID));
 }
 
+/// Lets a script time out. Its reply comes 3 s after the request.
+fn time_out_a_script(world: &mut World, driver: &(Client, LeaseToken)) {
+    let late = FaultKind::FinalLate { by_ms: 3000 };
+    world.device.apply(world.now, Change::Fault { kind: late, id: Some(SCRIPT_ID), times: 1 });
+    let mut answered = send_script(world, driver);
+    world.advance(Duration::from_millis(1200));
+    let timed_out = answered.try_recv().unwrap().unwrap_err();
+    assert!(matches!(timed_out, Rejection::Failure(Failure::DeviceTimeout { .. })), "{timed_out:?}");
+}
+
 #[test]
 fn script_is_not_sent_while_its_late_reply_is_awaited() {
     let mut world = homed_with_script();
     let one = driver("10.0.0.1");
-    let late = FaultKind::FinalLate { by_ms: 3000 };
-    world.device.apply(world.now, Change::Fault { kind: late, id: Some(SCRIPT_ID), times: 1 });
     let from = mark(&world);
-    let mut answered = send_script(&mut world, &one);
-    world.advance(Duration::from_millis(1200));
-    let timed_out = answered.try_recv().unwrap().unwrap_err();
-    assert!(matches!(timed_out, Rejection::Failure(Failure::DeviceTimeout { .. })), "{timed_out:?}");
+    time_out_a_script(&mut world, &one);
     let unsent = send_script(&mut world, &one).try_recv().unwrap().unwrap_err();
     assert_eq!(
         unsent.to_string(),
@@ -186,6 +191,20 @@ fn script_is_not_sent_while_its_late_reply_is_awaited() {
     world.advance(Duration::from_millis(1900));
     assert!(script(&mut world, &one).is_ok());
     assert_eq!(received(&world, from), [SCRIPT_ID; 2]);
+}
+
+#[test]
+fn script_that_is_not_sent_does_not_take_the_lease() {
+    for is_sent in [true, false] {
+        let mut world = homed_with_script();
+        let one = driver("10.0.0.1");
+        if !is_sent {
+            time_out_a_script(&mut world, &one);
+        }
+        assert_eq!(script(&mut world, &one).is_ok(), is_sent);
+        somebody_moves(&mut world, 50.0);
+        assert_eq!(holder(&world).is_some(), is_sent);
+    }
 }
 
 #[test]

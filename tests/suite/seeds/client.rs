@@ -108,10 +108,12 @@ impl Clients {
                 _ => {
                     let custom = Self::next_custom(world, PORT_SCRIPT_ID);
                     let (client, token) = Leases::driver(world);
-                    let is_refused = Self::exchange_as(world, Command::Custom(custom), client, Some(token.clone()));
-                    world.count("command: script of a driver", !is_refused);
-                    if !is_refused {
-                        Leases::scripted(world, token);
+                    let refused = Self::exchange_as(world, Command::Custom(custom), client, Some(token.clone())).err();
+                    world.count("command: script of a driver", refused.is_none());
+                    match refused {
+                        None => Leases::scripted(world, token),
+                        Some(Rejection::Failure(Failure::NotSent { .. })) => Leases::renewed(world, &token),
+                        Some(_) => {}
                     }
                 }
             },
@@ -229,11 +231,17 @@ impl Clients {
     }
 
     fn exchange(world: &mut World, command: Command) {
-        Self::exchange_as(world, command, client(), None);
+        // A refusal is one of the outcomes.
+        let _ = Self::exchange_as(world, command, client(), None);
     }
 
-    /// Returns whether the request was refused at once, before it could renew the lease.
-    fn exchange_as(world: &mut World, command: Command, client: Client, lease: Option<LeaseToken>) -> bool {
+    /// Returns the rejection of a request that was refused at once.
+    fn exchange_as(
+        world: &mut World,
+        command: Command,
+        client: Client,
+        lease: Option<LeaseToken>,
+    ) -> Result<(), Rejection> {
         let expected = match &command {
             Command::Loop(data) => Some(Data::Loop(data.as_bytes().to_vec())),
             // The script echoes its payload.
@@ -245,10 +253,10 @@ impl Clients {
         world.actor.request(now, ActorRequest::Exchange { command, client, lease, answer: (None, answer) });
         if let Ok(Err(rejection)) = answered.try_recv() {
             world.note(&format!("  {rejection}"));
-            return !matches!(rejection, Rejection::Failure(Failure::NotSent { .. }));
+            return Err(rejection);
         }
         world.clients.exchanges.push(Exchange { answered, expected });
-        false
+        Ok(())
     }
 
     /// Collects the answers that have arrived.

@@ -61,8 +61,8 @@ pub struct Leases {
     open: Vec<Ticket>,
     /// Number of driver connections so far.
     drivers: usize,
-    /// Token of the driver that used a script last.
-    scripted: Option<LeaseToken>,
+    /// Tokens of the drivers that have used a script.
+    scripted: Vec<LeaseToken>,
     /// `on_loss_moving` of each lease, by epoch.
     on_loss_moving: BTreeMap<u64, OnLossMoving>,
     fingers: Fingers,
@@ -189,15 +189,20 @@ impl Leases {
 
     fn renew(world: &mut World) {
         let Some(current) = &world.leases.current else { return };
-        let (token, alive) = (Some(current.token.clone()), Self::is_alive(world));
-        let (answer, mut answered) = oneshot::channel();
-        let now = world.clock();
-        world.actor.request(now, ActorRequest::RenewLease { token, answer });
-        let renewed = answered.try_recv().expect("the decision takes no time").is_ok();
+        let (token, alive) = (current.token.clone(), Self::is_alive(world));
+        let renewed = Self::is_renewed(world, &token);
         assert_eq!(renewed, alive, "renewal does not match the lease's life\n{}", world.tail());
         if let Some(current) = world.leases.current.as_mut().filter(|_| renewed) {
             current.used = world.now;
         }
+    }
+
+    /// Renews the lease with this token, if it holds the lease.
+    fn is_renewed(world: &mut World, token: &LeaseToken) -> bool {
+        let (answer, mut answered) = oneshot::channel();
+        let now = world.clock();
+        world.actor.request(now, ActorRequest::RenewLease { token: Some(token.clone()), answer });
+        answered.try_recv().expect("the decision takes no time").is_ok()
     }
 
     fn release(world: &mut World, stale: bool) {
@@ -259,12 +264,17 @@ impl Leases {
 
     /// Records that a driver has used a script, which renews the lease if the driver holds it.
     pub fn scripted(world: &mut World, token: LeaseToken) {
+        Self::renewed(world, &token);
+        world.leases.scripted.push(token);
+    }
+
+    /// Records a request that renews the lease if its client holds it.
+    pub fn renewed(world: &mut World, token: &LeaseToken) {
         // A lease can have expired since the last step.
         let is_held = world.watches.state.borrow().lease_holder.is_some();
-        if let Some(current) = world.leases.current.as_mut().filter(|current| is_held && current.token == token) {
+        if let Some(current) = world.leases.current.as_mut().filter(|current| is_held && current.token == *token) {
             current.used = world.now;
         }
-        world.leases.scripted = Some(token);
     }
 
     /// Notices that a driver has taken the free lease, because its script has moved the fingers.
@@ -277,9 +287,11 @@ impl Leases {
         // Tests of single steps keep no account of their drivers.
         if is_new && holder.as_deref() == Some(DRIVER) && world.leases.drivers > 0 {
             assert!(!Self::is_alive(world), "a script took a held lease\n{}", world.tail());
-            let token = world.leases.scripted.clone().expect("a driver has used a script");
+            // Which of several scripts has moved the fingers follows from the rights of their drivers.
+            let scripted = world.leases.scripted.clone();
+            let token = scripted.into_iter().find(|token| Self::is_renewed(world, token));
             world.count("lease: taken by a script", true);
-            Self::claimed(world, DRIVER, &token);
+            Self::claimed(world, DRIVER, &token.expect("a driver with a script holds the lease"));
         }
     }
 
@@ -427,9 +439,9 @@ impl Leases {
         let stands = !fingers.runs && state.command.is_none() && has_link(&state);
         let is_steered = fingers.streamed.is_some_and(|at| world.now < at + STREAM_LASTS);
         match (moves && is_long && is_heard, reported) {
-            _ if is_steered && !moves => None,
-            (true, _) | (_, Some(true)) => Some(true),
-            (_, Some(false)) if stands => Some(false),
+            (true, _) => Some(true),
+            (_, Some(true)) if moves || !is_steered => Some(true),
+            (_, Some(false)) if stands && !is_steered => Some(false),
             _ => None,
         }
     }
