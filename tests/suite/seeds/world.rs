@@ -281,6 +281,7 @@ impl World {
         if self.device.connect(self.now, self.interface) {
             self.note("connected");
             self.connected = true;
+            self.invariants.connected();
             self.actor.link_up(now);
         } else {
             self.actor.link_down(now, "refused");
@@ -340,6 +341,7 @@ impl World {
         let mut chunk = Vec::new();
         while self.device.poll_transmit(&mut chunk) {
             let bytes = std::mem::take(&mut chunk);
+            self.invariants.replied(self.now, &bytes);
             self.send_to_gateway(bytes);
         }
         while let Some(LinkAction::Drop) = self.device.poll_link() {
