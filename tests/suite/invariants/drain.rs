@@ -2,12 +2,33 @@
 
 use std::time::Duration;
 
+use wsg_gateway::gripper::Failure;
 use wsg_gateway::gripper::handle::ActorRequest;
+use wsg_gateway::gripper::model::Outcome;
 use wsg_gateway::sim::{Change, Interface};
 use wsg_gateway::wsg::id;
 
 use super::steps::*;
 use crate::seeds::world::World;
+
+#[test]
+fn announce_before_close() {
+    let mut world = homed();
+    let slow = start(&mut world, move_to(10.0, 5.0));
+    world.advance(Duration::from_millis(500));
+    let from = mark(&world);
+    let mut drained = request(&mut world, |answer| ActorRequest::Drain { answer });
+    assert_eq!(refused(&mut world, home()), Failure::Draining.into());
+    let command = finish(&mut world, &slow);
+    assert_eq!(command.outcome, Some(Outcome::Aborted), "drain_ms is over");
+    world.advance(Duration::from_secs(2));
+    assert_eq!(received(&world, from), [id::STOP, id::DISCONNECT_ANNOUNCEMENT]);
+    assert_eq!(world.device.received().last().unwrap().id, id::DISCONNECT_ANNOUNCEMENT);
+    assert!(!world.device.snapshot().fast_stop);
+    let now = world.clock();
+    world.actor.drained(now);
+    assert_eq!(drained.try_recv(), Ok(()));
+}
 
 #[test]
 fn fingers_that_begin_to_move_while_updates_are_switched_off_are_stopped() {

@@ -189,25 +189,6 @@ fn unsent_motion_is_refused_rather_than_unknown() {
 }
 
 #[test]
-fn announce_before_close() {
-    let mut world = homed();
-    let slow = start(&mut world, move_to(10.0, 5.0));
-    world.advance(Duration::from_millis(500));
-    let from = mark(&world);
-    let mut drained = request(&mut world, |answer| ActorRequest::Drain { answer });
-    assert_eq!(refused(&mut world, home()), Failure::Draining.into());
-    let command = finish(&mut world, &slow);
-    assert_eq!(command.outcome, Some(Outcome::Aborted), "drain_ms is over");
-    world.advance(Duration::from_secs(2));
-    assert_eq!(received(&world, from), [id::STOP, id::DISCONNECT_ANNOUNCEMENT]);
-    assert_eq!(world.device.received().last().unwrap().id, id::DISCONNECT_ANNOUNCEMENT);
-    assert!(!world.device.snapshot().fast_stop);
-    let now = world.clock();
-    world.actor.drained(now);
-    assert_eq!(drained.try_recv(), Ok(()));
-}
-
-#[test]
 fn device_refusal_is_not_our_error() {
     let mut world = homed();
     let status = FaultKind::Status { code: 4711 };
