@@ -200,9 +200,9 @@ pub(super) fn switch_on_all(rules: UpdateRules, bytes_per_second: Option<u32>) -
     UPDATED.into_iter().filter_map(move |id| switch_on(id, rules, bytes_per_second))
 }
 
-/// Requests that switch off all automatic updates.
+/// Requests that switch off all automatic updates. The flags are last, so that a motion is still noticed meanwhile.
 pub(super) fn switch_off_all() -> impl Iterator<Item = Command> {
-    UPDATED.into_iter().filter_map(|id| request(id, Updates::Off))
+    UPDATED.into_iter().rev().filter_map(|id| request(id, Updates::Off))
 }
 
 /// Request that switches on the updates of one getter.

@@ -187,7 +187,9 @@ impl Actor {
     pub(super) fn continue_drain(&mut self, now: Now) {
         // During setup, the requests in flight are not clients' requests, and need not be waited for.
         let is_busy = self.link.is_up() && self.link.session.as_ref().is_some_and(|session| !session.is_idle());
-        let idle = self.motion.running.is_none() && !self.latch.is_unconfirmed() && !is_busy;
+        let is_unconfirmed = self.latch.is_unconfirmed();
+        let idle = self.motion.running.is_none() && !is_unconfirmed && !is_busy;
+        let is_answered = !self.link.purposes.values().any(|purpose| matches!(purpose, Purpose::Announce));
         let Some(drain) = &mut self.drain else { return };
         let late = drain.until <= now.instant;
         match drain.stage {
@@ -202,6 +204,15 @@ impl Actor {
             }
             Stage::Stopping if idle || late => self.leave(now),
             Stage::Announcing | Stage::Announced if late => drain.stage = Stage::Over,
+            Stage::Announced if is_answered => drain.stage = Stage::Over,
+            // Fingers can have begun to move meanwhile, and a FAST STOP can have been sent.
+            Stage::Announcing if is_answered && !is_unconfirmed => {
+                if !self.stop_before_leaving(now)
+                    && let Some(drain) = &mut self.drain
+                {
+                    drain.stage = Stage::Over;
+                }
+            }
             _ => {}
         }
         if self.drain.as_ref().is_some_and(|drain| drain.stage == Stage::Over) {
@@ -245,17 +256,5 @@ impl Actor {
             drain.has_stopped = is_sent;
         }
         is_sent
-    }
-
-    /// Takes the end of one of the last requests: the device has executed it, refused it or not replied. After all of
-    /// them, the link can be closed, unless the fingers have begun to move meanwhile.
-    pub(super) fn last_request_ended(&mut self, now: Now) {
-        let is_last = !self.link.purposes.values().any(|other| matches!(other, Purpose::Announce));
-        if is_last
-            && !self.stop_before_leaving(now)
-            && let Some(drain) = &mut self.drain
-        {
-            drain.stage = Stage::Over;
-        }
     }
 }

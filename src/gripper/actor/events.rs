@@ -174,12 +174,13 @@ impl Actor {
             Purpose::Exchange(exchange) => {
                 self.reads.forget();
                 if self.is_script(&exchange.command) {
-                    self.scripts.replied(now.instant, exchange.lease.as_ref());
+                    self.scripts.request_ended(now.instant, exchange.lease.as_ref(), &end);
                 }
                 self.take_exchange_end(now, exchange, end);
             }
             Purpose::Read(id) => self.read_ended(now, id, end),
-            Purpose::Announce => self.last_request_ended(now),
+            // The drain looks for those that remain.
+            Purpose::Announce => {}
         }
     }
 

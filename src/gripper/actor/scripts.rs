@@ -2,7 +2,8 @@
 //!
 //! A script can read values or move the fingers, and only the fingers show which. The request of a script is refused
 //! while another client holds the lease or a FAST STOP is latched. The request waits for nothing, and has no command
-//! record. Once the fingers begin to move after the request, its client takes the lease if the lease is free.
+//! record. Once the fingers begin to move after the request, its client takes the lease if the lease is free. A request
+//! without a reply counts for as long as its late reply is awaited.
 
 use std::time::{Duration, Instant};
 
@@ -11,7 +12,7 @@ use super::super::error::Rejection;
 use super::super::model::{Client, LeaseToken, TakeLease};
 use super::Actor;
 use super::link::{Exchange, Purpose};
-use crate::wsg::session::Token;
+use crate::wsg::session::{End, SCRIPT_REPLIES_WITHIN, Token};
 use crate::wsg::{GripperState, SystemState};
 
 /// Longest time from a script's request or reply to the motion that it causes.
@@ -32,15 +33,23 @@ struct ScriptUse {
     token: LeaseToken,
     /// Time of the newest request or reply, or of the client's end.
     at: Instant,
+    /// Time until which a request without a reply can move the fingers.
+    unanswered_until: Option<Instant>,
     end: Option<ClientEnd>,
     /// Whether this script is one of several that can have begun the current motion.
     is_suspect: bool,
 }
 
-/// Scripts that can move the fingers: one for each client, which needs a recent or a running request.
+/// Scripts that can move the fingers: one for each client, which needs a recent, running or unanswered request.
 #[derive(Debug, Default)]
 pub(super) struct Scripts {
     uses: Vec<ScriptUse>,
+}
+
+impl ScriptUse {
+    fn can_move(&self, now: Instant) -> bool {
+        self.is_suspect || now < self.at + MOVES_WITHIN || self.unanswered_until.is_some_and(|until| now < until)
+    }
 }
 
 impl Scripts {
@@ -48,10 +57,15 @@ impl Scripts {
         self.uses.iter_mut().find(|script| Some(&script.token) == token && script.end.is_none())
     }
 
-    /// Notes the reply to a script of this client.
-    pub(super) fn replied(&mut self, now: Instant, token: Option<&LeaseToken>) {
-        if let Some(script) = self.get_mut(token) {
-            script.at = now;
+    /// Notes the end of a script's request. The client can be gone.
+    pub(super) fn request_ended(&mut self, now: Instant, token: Option<&LeaseToken>, end: &End) {
+        let Some(script) = self.uses.iter_mut().find(|script| Some(&script.token) == token) else { return };
+        match end {
+            End::Reply(_) | End::Invalid(_) => script.at = now,
+            End::Unanswered { written: true, .. } | End::NoResult { .. } => {
+                script.unanswered_until = Some(now + SCRIPT_REPLIES_WITHIN);
+            }
+            _ => {}
         }
     }
 
@@ -68,19 +82,20 @@ impl Actor {
     pub(super) fn note_script(&mut self, now: Now, client: &Client, token: Option<&LeaseToken>) {
         let Some(token) = token else { return };
         self.forget_old_scripts(now.instant);
-        let is_suspect = self.scripts.get_mut(Some(token)).is_some_and(|script| script.is_suspect);
+        if let Some(script) = self.scripts.get_mut(Some(token)) {
+            script.at = now.instant;
+            return;
+        }
         self.scripts.uses.retain(|script| script.token != *token);
         let (client, token) = (client.clone(), token.clone());
-        self.scripts.uses.push(ScriptUse { client, token, at: now.instant, end: None, is_suspect });
+        let script = ScriptUse { client, token, at: now.instant, unanswered_until: None, end: None, is_suspect: false };
+        self.scripts.uses.push(script);
     }
 
     /// Forgets the scripts that can no longer move the fingers.
     fn forget_old_scripts(&mut self, now: Instant) {
         let running: Vec<_> = self.running_scripts().filter_map(|(_, script)| script.lease.clone()).collect();
-        self.scripts.uses.retain(|script| {
-            let is_running = script.end.is_none() && running.contains(&script.token);
-            is_running || script.is_suspect || now < script.at + MOVES_WITHIN
-        });
+        self.scripts.uses.retain(|script| running.contains(&script.token) || script.can_move(now));
     }
 
     /// Takes the announced end of a client. A motion that its script then begins is stopped.

@@ -264,7 +264,7 @@ pub async fn orderly_end(url: &str) {
     assert_eq!(received.contains(&id::DISCONNECT_ANNOUNCEMENT), is_tcp, "{received:02X?}");
     if !is_tcp {
         // The device sends no updates to a gateway that is gone.
-        let getters = [0x40, 0x41, 0x43, 0x44, 0x45];
+        let getters = [0x45, 0x44, 0x43, 0x41, 0x40];
         assert!(received.ends_with(&getters), "{received:02X?}");
     }
 }

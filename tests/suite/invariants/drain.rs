@@ -5,7 +5,7 @@ use std::time::Duration;
 use wsg_gateway::gripper::Failure;
 use wsg_gateway::gripper::handle::ActorRequest;
 use wsg_gateway::gripper::model::Outcome;
-use wsg_gateway::sim::{Change, Interface};
+use wsg_gateway::sim::{Change, FaultKind, Interface};
 use wsg_gateway::wsg::id;
 
 use super::steps::*;
@@ -31,7 +31,7 @@ fn announce_before_close() {
 }
 
 #[test]
-fn fingers_that_begin_to_move_while_updates_are_switched_off_are_stopped() {
+fn motion_while_updates_are_switched_off_is_stopped() {
     // Over TCP, nothing may follow the announcement.
     let mut world = World::calm_on(Interface::Udp, device(), None);
     run(&mut world, home());
@@ -41,6 +41,20 @@ fn fingers_that_begin_to_move_while_updates_are_switched_off_are_stopped() {
     world.settle();
     world.device.apply(world.now, Change::MoveBySomebody { width_mm: 30.0, speed_mm_s: 20.0 });
     world.advance(Duration::from_secs(1));
-    assert!(received(&world, from).ends_with(&[id::STOP]));
+    assert_eq!(received(&world, from), [id::STOP]);
     assert!(!world.device.snapshot().moving);
+}
+
+#[test]
+fn fast_stop_while_updates_are_switched_off_is_repeated() {
+    let mut world = World::calm_on(Interface::Udp, device(), None);
+    run(&mut world, home());
+    world.advance(Duration::from_secs(1));
+    let from = mark(&world);
+    drop(request(&mut world, |answer| ActorRequest::Drain { answer }));
+    world.device.apply(world.now, Change::Fault { kind: FaultKind::NoReply, id: Some(id::FAST_STOP), times: 1 });
+    fast_stop(&mut world);
+    world.advance(Duration::from_secs(1));
+    assert!(received(&world, from).starts_with(&[id::FAST_STOP; 2]));
+    assert!(world.device.snapshot().fast_stop);
 }

@@ -194,16 +194,30 @@ fn script_is_not_sent_while_its_late_reply_is_awaited() {
 }
 
 #[test]
-fn script_that_is_not_sent_does_not_take_the_lease() {
-    for is_sent in [true, false] {
+fn only_an_unanswered_script_takes_the_lease_and_not_a_refused_one() {
+    let mut world = homed_with_script();
+    let (one, other) = (driver("10.0.0.1"), driver("10.0.0.2"));
+    time_out_a_script(&mut world, &one);
+    assert!(script(&mut world, &other).is_err());
+    world.advance(Duration::from_millis(800));
+    somebody_moves(&mut world, 50.0);
+    assert_eq!(holder(&world).as_deref(), Some("wsg:10.0.0.1"));
+}
+
+#[test]
+fn motion_of_an_unanswered_script_is_stopped_after_its_loss() {
+    for (leaves_after_ms, moves_after_ms) in [(100, 600), (1500, 500), (1500, 3000)] {
         let mut world = homed_with_script();
         let one = driver("10.0.0.1");
-        if !is_sent {
-            time_out_a_script(&mut world, &one);
-        }
-        assert_eq!(script(&mut world, &one).is_ok(), is_sent);
+        let hangs = Change::Fault { kind: FaultKind::NoReply, id: Some(SCRIPT_ID), times: 1 };
+        world.device.apply(world.now, hangs);
+        drop(send_script(&mut world, &one));
+        world.advance(Duration::from_millis(leaves_after_ms));
+        leaves(&mut world, &one);
+        world.advance(Duration::from_millis(moves_after_ms));
+        assert_eq!(state(&world).fast_stop, Some(false));
         somebody_moves(&mut world, 50.0);
-        assert_eq!(holder(&world).is_some(), is_sent);
+        assert_eq!(state(&world).fast_stop, Some(true), "{leaves_after_ms} ms, then {moves_after_ms} ms");
     }
 }
 

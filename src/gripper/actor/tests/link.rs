@@ -38,7 +38,7 @@ fn new_setup_keeps_the_value_of_a_setter_in_flight() {
     rig.device.force_n = 30.0;
     rig.reply(id::SET_FORCE_LIMIT, Status::E_SUCCESS, &[]);
     rig.exchange();
-    // Setup continues once no duplicate can follow, and so does the read-back.
+    // Setup continues when no duplicate is awaited any longer, and so does the read-back.
     for _ in 0..2 {
         rig.pass(10);
     }
@@ -75,7 +75,7 @@ fn released_device_sends_no_more_updates() {
     let mut rig = Rig::connected(config(UDP));
     drop(disconnect(&mut rig));
     let switched_off: Vec<_> = rig.device.received.iter().map(|(id, payload)| (*id, payload[0])).collect();
-    assert_eq!(switched_off, [0x40, 0x41, 0x43, 0x44, 0x45].map(|id| (id, 0)));
+    assert_eq!(switched_off, [0x45, 0x44, 0x43, 0x41, 0x40].map(|id| (id, 0)), "the flags last");
     assert_eq!(rig.actor.wants_close(), Some(Close::Drained));
 }
 
