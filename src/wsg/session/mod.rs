@@ -17,7 +17,8 @@
 //!   until its late result arrives, or the device reports not MOVING after that echo. A script's id stays closed until
 //!   its late reply arrives, or for [`SCRIPT_REPLIES_WITHIN`]. FAST STOP and Stop never wait for this.
 //! - On a link that can duplicate frames, an answered id also stays closed until the echo of a later Loop, and for at
-//!   least [`DUPLICATE_WITHIN`]. An id that has received a reply without a request stays closed until that echo.
+//!   least [`DUPLICATE_WITHIN`]. Once an id has received a reply without a request, each of its answered requests closes it
+//!   until that echo.
 //!
 //! Architecture invariant: a request is written at most once. The session repeats only its own Loop.
 
@@ -50,7 +51,7 @@ pub const RESULT_GRACE: Duration = Duration::from_secs(1);
 /// Scripts run beside the device's own commands, so the echo of a later Loop does not mean that no reply can follow.
 pub const SCRIPT_REPLIES_WITHIN: Duration = Duration::from_secs(10);
 
-/// Time for which a duplicate of a reply is awaited. A network can delay it beyond the echo of a later Loop.
+/// Time for which a reply is awaited that the echo of a later Loop has overtaken, on a link that can duplicate frames.
 pub const DUPLICATE_WITHIN: Duration = Duration::from_millis(5);
 
 /// Silence after which a Loop probes whether the device is still there.
@@ -66,7 +67,8 @@ pub struct SessionConfig {
     pub bytes_per_second: Option<u32>,
     /// Time limit from the first to the last byte of a frame, beyond its line time.
     pub frame_gap: Duration,
-    /// Whether the link can duplicate frames. If so, an answered id stays closed until no duplicate can arrive.
+    /// Whether the link can duplicate frames. If so, an answered id stays closed while a duplicate is
+    /// awaited.
     pub may_duplicate: bool,
     /// Seed that makes this session's nonces differ from those of earlier sessions.
     pub nonce_seed: u64,

@@ -17,7 +17,7 @@ impl Session {
             let (id, reply) = (frame.id, Reply::parse(frame.id, frame.payload));
             match reply {
                 Ok(reply) => self.take_reply(now, id, reply),
-                Err(invalid) => self.take_invalid(id, invalid),
+                Err(invalid) => self.take_invalid(now, id, invalid),
             }
         }
         self.partial = self.decoder.is_partial().then(|| match self.partial {
@@ -96,10 +96,13 @@ impl Session {
             // `E_CMD_PENDING` before the data (`fw4-en 3.1.1`), or an error; the deadline handles both.
             return self.barrier.is_in_flight() && !self.loop_in_flight();
         };
+        // A late reply and its duplicates can be overtaken, too.
+        let late_until = self.config.may_duplicate.then(|| now + DUPLICATE_WITHIN);
         match self.barrier.echo(now, data) {
             Echo::Ours(generation) => self.slots.retain(|slot| match &mut slot.state {
                 SlotState::Closed(closed) if closed.since < generation && closed.script_until.is_none() => {
                     closed.echoed = true;
+                    closed.duplicate_until = closed.duplicate_until.or(late_until);
                     closed.two_step || closed.duplicate_until.is_some_and(|until| now < until)
                 }
                 _ => true,
@@ -127,7 +130,7 @@ impl Session {
         self.expect_aborts_before(now, u64::MAX);
     }
 
-    fn take_invalid(&mut self, id: u8, invalid: InvalidReply) {
+    fn take_invalid(&mut self, now: Instant, id: u8, invalid: InvalidReply) {
         self.counters.invalid_replies += 1;
         if id::is_motion(id) {
             // The fingers may be moving, so the request stays in flight until its deadline.
@@ -137,7 +140,7 @@ impl Session {
             && let SlotState::InFlight(in_flight) = &slot.state
         {
             let token = in_flight.token;
-            self.slots.open(id);
+            self.open_or_await_duplicates(now, id);
             self.events.push_back(SessionEvent::Ended(token, End::Invalid(invalid)));
         }
     }

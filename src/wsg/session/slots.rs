@@ -45,7 +45,7 @@ pub(super) struct Closed {
     pub two_step: bool,
     /// Time until which a script can still reply, whatever has been echoed.
     pub script_until: Option<Instant>,
-    /// Time until which a duplicate datagram can overtake the echo.
+    /// Time until which a reply that the echo has overtaken can arrive.
     pub duplicate_until: Option<Instant>,
 }
 
@@ -144,15 +144,18 @@ impl Slots {
         self.closed().filter_map(|(_, closed)| closed.script_until).min()
     }
 
-    /// The next time at which an id opens whose echo has arrived before a possible duplicate.
+    /// The next time at which an id opens whose echo can have overtaken a reply.
     pub(super) fn duplicate_deadline(&self) -> Option<Instant> {
-        self.closed().filter(|(_, closed)| closed.echoed).filter_map(|(_, closed)| closed.duplicate_until).min()
+        let waits = |closed: &Closed| closed.duplicate_until.filter(|_| closed.echoed && !closed.two_step);
+        self.closed().filter_map(|(_, closed)| waits(closed)).min()
     }
 
-    /// Opens the ids that have waited long enough for a duplicate after the echo.
+    /// Opens the ids that have waited long enough for a reply that the echo has overtaken.
     pub(super) fn expire_duplicates(&mut self, now: Instant) {
         self.retain(|slot| match &slot.state {
-            SlotState::Closed(closed) => !(closed.echoed && closed.duplicate_until.is_some_and(|until| until <= now)),
+            SlotState::Closed(closed) => {
+                !(closed.echoed && !closed.two_step && closed.duplicate_until.is_some_and(|until| until <= now))
+            }
             SlotState::InFlight(_) => true,
         });
     }
