@@ -28,9 +28,9 @@ pub struct Invariants {
 /// Pause after which a reply no longer ends the request after its own.
 const SHIFTED_FOR: Duration = Duration::from_secs(1);
 
-/// Replies of scripts that the device repeats. The gateway cannot tell the first one for each id from the reply to the
-/// next request, because replies have no numbers. The reply to that request then ends the one after it, and so on until
-/// the requests pause.
+/// Replies of scripts that the device repeats. If a request is in flight, the gateway cannot tell the first such reply
+/// from the reply to this request, because replies have no numbers. The reply to this request then ends the one after
+/// it, and so on until the requests pause. Not on UDP, where the gateway expects each reply twice.
 struct Repeats {
     decoder: Decoder,
     newest: BTreeMap<u8, Vec<u8>>,
@@ -66,12 +66,12 @@ impl Invariants {
         let Repeats { decoder, newest, shifted, excused } = &mut self.repeats;
         decoder.push(bytes);
         while let Some(decoded) = decoder.next() {
-            // The payloads of scripts are unique.
             let Decoded::Frame(frame) = decoded else { continue };
             let (id, payload) = (frame.id, frame.payload.to_vec());
             let is_shifted = match shifted.get(&id) {
                 Some(at) => now < *at + SHIFTED_FOR,
-                None => id::is_custom(id) && newest.get(&id) == Some(&payload),
+                // Status codes without data repeat often.
+                None => id::is_custom(id) && payload.len() > 2 && newest.get(&id) == Some(&payload),
             };
             if is_shifted {
                 shifted.insert(id, now);
@@ -81,7 +81,7 @@ impl Invariants {
         }
     }
 
-    /// Whether this echo may end a request of another client.
+    /// Whether this echo may end another request.
     pub fn is_excused(&self, echo: &[u8]) -> bool {
         self.repeats.excused.contains(echo)
     }
