@@ -170,7 +170,8 @@ impl Actor {
             Purpose::Force(id, force) => self.force_ended(now, id, force, end),
             Purpose::Motion(id) => self.motion_ended(now, id, end),
             Purpose::Stop(Some(id)) => self.stop_ended(now, id, end),
-            Purpose::Stop(None) => {}
+            // A drain looks for the last requests that remain.
+            Purpose::Stop(None) | Purpose::Announce => {}
             Purpose::Exchange(exchange) => {
                 self.reads.forget();
                 if self.is_script(&exchange.command) {
@@ -179,8 +180,6 @@ impl Actor {
                 self.take_exchange_end(now, exchange, end);
             }
             Purpose::Read(id) => self.read_ended(now, id, end),
-            // The drain looks for those that remain.
-            Purpose::Announce => {}
         }
     }
 

@@ -65,7 +65,7 @@ impl Scripts {
             End::Unanswered { written: true, .. } | End::NoResult { .. } => {
                 script.unanswered_until = Some(now + SCRIPT_REPLIES_WITHIN);
             }
-            _ => {}
+            End::Unanswered { written: false, .. } => {}
         }
     }
 
