@@ -30,15 +30,21 @@ fn announce_before_close() {
     assert_eq!(drained.try_recv(), Ok(()));
 }
 
-#[test]
-fn motion_while_updates_are_switched_off_is_stopped() {
-    // Over TCP, nothing may follow the announcement.
+/// Returns a world whose gateway has begun to switch the updates off, and a mark before. Over TCP, nothing may follow the
+/// announcement.
+fn switching_off() -> (World, usize) {
     let mut world = World::calm_on(Interface::Udp, device(), None);
     run(&mut world, home());
     world.advance(Duration::from_secs(1));
     let from = mark(&world);
     drop(request(&mut world, |answer| ActorRequest::Drain { answer }));
     world.settle();
+    (world, from)
+}
+
+#[test]
+fn motion_while_updates_are_switched_off_is_stopped() {
+    let (mut world, from) = switching_off();
     world.device.apply(world.now, Change::MoveBySomebody { width_mm: 30.0, speed_mm_s: 20.0 });
     world.advance(Duration::from_secs(1));
     assert_eq!(received(&world, from), [id::STOP]);
@@ -47,11 +53,7 @@ fn motion_while_updates_are_switched_off_is_stopped() {
 
 #[test]
 fn fast_stop_while_updates_are_switched_off_is_repeated() {
-    let mut world = World::calm_on(Interface::Udp, device(), None);
-    run(&mut world, home());
-    world.advance(Duration::from_secs(1));
-    let from = mark(&world);
-    drop(request(&mut world, |answer| ActorRequest::Drain { answer }));
+    let (mut world, from) = switching_off();
     world.device.apply(world.now, Change::Fault { kind: FaultKind::NoReply, id: Some(id::FAST_STOP), times: 1 });
     fast_stop(&mut world);
     world.advance(Duration::from_secs(1));
