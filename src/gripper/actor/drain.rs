@@ -185,12 +185,12 @@ impl Actor {
     }
 
     pub(super) fn continue_drain(&mut self, now: Now) {
+        let Some(drain) = &mut self.drain else { return };
         // During setup, the requests in flight are not clients' requests, and need not be waited for.
         let is_busy = self.link.is_up() && self.link.session.as_ref().is_some_and(|session| !session.is_idle());
         let is_unconfirmed = self.latch.is_unconfirmed();
         let idle = self.motion.running.is_none() && !is_unconfirmed && !is_busy;
         let is_answered = !self.link.purposes.values().any(|purpose| matches!(purpose, Purpose::Announce));
-        let Some(drain) = &mut self.drain else { return };
         let late = drain.until <= now.instant;
         match drain.stage {
             Stage::Finishing if idle => self.leave(now),
