@@ -8,6 +8,7 @@ use axum::http::header::{HeaderMap, HeaderValue, SEC_WEBSOCKET_KEY, SEC_WEBSOCKE
 use axum::response::Response;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
+use bytes::Bytes;
 use hyper::upgrade::Upgraded;
 use hyper_util::rt::TokioIo;
 use tokio_tungstenite::tungstenite::handshake::server::create_response_with_body;
@@ -18,7 +19,7 @@ use super::stream::too_many;
 use super::visitor::Identified;
 use crate::access::Visitor;
 use crate::gripper::model::{Client, Door};
-use crate::interfaces::admission::{Class, ConnectionPermit};
+use crate::interfaces::admission::{Claim, Class, ConnectionPermit};
 use crate::interfaces::client_stream::ClientStream;
 use crate::interfaces::websocket::{self, Connection, SUBPROTOCOL};
 use crate::operations::Problem;
@@ -53,37 +54,32 @@ pub async fn open(Shared(context): Shared<Arc<HttpContext>>, mut request: Reques
     }
     response.headers_mut().insert(SEC_WEBSOCKET_PROTOCOL, HeaderValue::from_static(SUBPROTOCOL));
     let permit: Option<Arc<ConnectionPermit>> = request.extensions().get().cloned();
-    // Held until the socket has ended, even if the HTTP connection ends earlier.
     let claim = permit.as_ref().map(|permit| permit.claim(Class::Streaming).ok_or_else(too_many)).transpose()?;
     let upgrade = hyper::upgrade::on(&mut request);
     tokio::spawn(async move {
         match upgrade.await {
-            Ok(upgraded) => {
-                begin(upgraded, (client, visitor), permit, &context).await;
-                drop(claim);
-            }
+            Ok(upgraded) => begin(upgraded, (client, visitor), (permit, claim), &context),
             Err(error) => tracing::debug!(%error, "WebSocket handshake not completed"),
         }
     });
     Ok(response)
 }
 
-/// Serves an upgraded connection on the sockets' runtimes until its end.
-async fn begin(
+/// Serves an upgraded connection on the sockets' runtimes.
+fn begin(
     upgraded: Upgraded,
     client: (Client, Visitor),
-    permit: Option<Arc<ConnectionPermit>>,
+    (permit, claim): (Option<Arc<ConnectionPermit>>, Option<Claim>),
     context: &Arc<HttpContext>,
 ) {
     let Ok(parts) = upgraded.downcast::<TokioIo<ClientStream>>() else {
         return tracing::error!("WebSocket upgrade failed: the connection is of another kind");
     };
-    let connection = Connection { stream: parts.io.into_inner(), early: parts.read_buf, permit };
+    // A copy, so that hyper's buffer does not live as long as the socket.
+    let early = Bytes::copy_from_slice(&parts.read_buf);
+    let connection = Connection { stream: parts.io.into_inner(), early, permit, claim };
     let serving = context.of_interface(context.ws_metrics.clone());
-    let ended = context.runtimes.sockets.spawn(websocket::serve(connection, client, serving));
-    if let Err(error) = ended.await {
-        tracing::error!(%error, "WebSocket task panicked");
-    }
+    drop(context.runtimes.sockets.spawn(websocket::serve(connection, client, serving)));
 }
 
 fn check_key(headers: &HeaderMap) -> Result<(), Problem> {

@@ -62,7 +62,7 @@ const CALL_BYTES: usize = 4 * 1024;
 const MAX_COMMANDS: usize = 64;
 
 /// Read buffer size: requests are small, and there can be a thousand clients.
-const READ_BYTES: usize = 4 * 1024;
+const READ_BYTES: usize = 1024;
 
 /// Time limit of the closing handshake.
 const FAREWELL_WITHIN: Duration = Duration::from_secs(1);
@@ -73,6 +73,8 @@ pub struct Connection {
     /// Bytes that arrived directly after the handshake.
     pub early: Bytes,
     pub permit: Option<Arc<ConnectionPermit>>,
+    /// Held until the socket has ended, even if the HTTP connection ends earlier.
+    pub claim: Option<Claim>,
 }
 
 pub struct Socket {
@@ -82,6 +84,7 @@ pub struct Socket {
     is_subscribed: bool,
     context: Context,
     permit: Option<Arc<ConnectionPermit>>,
+    _claim: Option<Claim>,
     outbox: Arc<Outbox>,
     writer: AbortOnDropHandle<io::Result<()>>,
     incoming: WebSocketStream<Inbound>,
@@ -157,16 +160,24 @@ enum End {
     Violation(CloseCode, &'static str),
 }
 
-pub async fn serve(connection: Connection, client: (Client, Visitor), context: Context) {
-    match Socket::new(connection, client, context).await {
-        Ok(socket) => socket.run().await,
-        Err(error) => tracing::debug!(%error, "WebSocket could not be started"),
+/// Serves a connection until its end. A task takes as much memory as its future ever needs, so the large parts are boxed.
+pub fn serve(
+    connection: Connection,
+    client: (Client, Visitor),
+    context: Context,
+) -> impl Future<Output = ()> + Send + 'static {
+    let socket = Box::pin(Socket::new(connection, client, context));
+    async {
+        match socket.await {
+            Ok(socket) => Box::new(socket).run().await,
+            Err(error) => tracing::debug!(%error, "WebSocket could not be started"),
+        }
     }
 }
 
 impl Socket {
     async fn new(
-        Connection { stream, early, permit }: Connection,
+        Connection { stream, early, permit, claim }: Connection,
         (client, visitor): (Client, Visitor),
         context: Context,
     ) -> io::Result<Self> {
@@ -190,6 +201,7 @@ impl Socket {
             is_subscribed: false,
             held: held(),
             permit,
+            _claim: claim,
             outbox,
             writer,
             incoming,
@@ -207,7 +219,7 @@ impl Socket {
         })
     }
 
-    async fn run(mut self) {
+    async fn run(mut self: Box<Self>) {
         let end = self.read().await;
         tracing::debug!(client = %self.client.subject, ?end, "WebSocket ended");
         // On shutdown the gateway has already released its grippers.
