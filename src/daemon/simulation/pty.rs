@@ -16,7 +16,7 @@ use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{OptionalActions, QueueSelector, ioctl_tiocnxcl, tcflush, tcgetattr, tcsetattr};
 use tokio::io::unix::AsyncFd;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio::time::{Interval, interval};
+use tokio::time::{Instant, Interval, interval};
 use url::Url;
 
 use crate::transport::{Options, Pacer, Pipe, SerialAddress};
@@ -26,8 +26,12 @@ const DEFAULT_BAUD: u32 = 115_200;
 /// Directory of ptys.
 const PTYS: &str = "/dev/pts";
 
-/// Unread bytes at which all of them are discarded, as a real port loses what comes while it is closed.
-const OVERRUN_BYTES: u64 = 2048;
+/// Unread bytes from which the port may be closed.
+const MANY_UNREAD_BYTES: u64 = 2048;
+
+/// Time after which so many unread bytes are discarded, as a real port loses what comes while it is closed. On a busy
+/// machine, a reader and the kernel's own worker are late by less.
+const DISCARDED_AFTER: Duration = Duration::from_millis(500);
 
 /// Interval of lifting exclusive access to the port, which a killed client leaves in place.
 const FREE_EVERY: Duration = Duration::from_millis(500);
@@ -66,7 +70,7 @@ impl PtySource {
         let pty = Arc::new(self.next.take().ok_or(io::ErrorKind::NotFound)?);
         let pacer = Pacer::new(self.address().bytes_per_second());
         let reader = Reader { pty: pty.clone(), free: interval(FREE_EVERY) };
-        Ok(Pipe { reader: Box::new(reader), writer: Box::new(Writer { pty, pacer }) })
+        Ok(Pipe { reader: Box::new(reader), writer: Box::new(Writer { pty, pacer, unread_since: None }) })
     }
 
     fn make(&mut self) -> anyhow::Result<()> {
@@ -125,9 +129,8 @@ impl Pty {
         Ok((Self { master, slave }, name))
     }
 
-    /// Whether so many bytes wait that nobody can be reading.
-    fn is_overrun(&self) -> bool {
-        ioctl_fionread(&self.slave).is_ok_and(|waiting| waiting >= OVERRUN_BYTES)
+    fn has_many_unread(&self) -> bool {
+        ioctl_fionread(&self.slave).is_ok_and(|unread| unread >= MANY_UNREAD_BYTES)
     }
 }
 
@@ -161,13 +164,16 @@ impl AsyncRead for Reader {
 struct Writer {
     pty: Arc<Pty>,
     pacer: Pacer,
+    /// Time since which many bytes are unread.
+    unread_since: Option<Instant>,
 }
 
 impl AsyncWrite for Writer {
     /// Never waits for a client, like a real line.
     fn poll_write(mut self: Pin<&mut Self>, _cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
         self.pacer.wrote(bytes.len());
-        if self.pty.is_overrun() {
+        self.unread_since = self.pty.has_many_unread().then(|| self.unread_since.unwrap_or_else(Instant::now));
+        if self.unread_since.is_some_and(|since| since.elapsed() >= DISCARDED_AFTER) {
             let _ = tcflush(&self.pty.slave, QueueSelector::IFlush);
         }
         match write(self.pty.master.get_ref(), bytes) {
