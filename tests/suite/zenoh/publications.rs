@@ -70,7 +70,8 @@ async fn stalled(endpoint: &str) -> (ZenohClient, std::sync::mpsc::Sender<()>) {
     let (resumed, (stalls, mut has_stalled)) = (std::sync::Mutex::new(resumed), tokio::sync::mpsc::channel(1));
     let wait = move |_| {
         let _ = stalls.try_send(());
-        let _ = resumed.lock().unwrap().recv();
+        // Zenoh's threads also serve the clients of other tests.
+        let _ = tokio::task::block_in_place(|| resumed.lock().unwrap().recv());
     };
     client.session.declare_subscriber("wsg/v1/**").callback(wait).background().await.unwrap();
     has_stalled.recv().await.unwrap();
