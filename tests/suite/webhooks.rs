@@ -78,7 +78,7 @@ async fn deliveries_continue_after_a_restart_and_repeat_after_a_kill() {
     let mut rig = Rig::new().await;
     let gateway = rig.start().await;
     gateway.post("fast-stop", &json!({})).await.ok();
-    // A slow disk may write the records of the start after the webhook begins.
+    // On a slow disk, the records of the start may be written only after the webhook begins.
     let first = loop {
         match rig.next().await {
             (_, seq, event) if event == "latched" => break seq,

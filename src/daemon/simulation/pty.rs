@@ -26,11 +26,11 @@ const DEFAULT_BAUD: u32 = 115_200;
 /// Directory of ptys.
 const PTYS: &str = "/dev/pts";
 
-/// Unread bytes from which the port may be closed.
+/// Number of unread bytes from which the port may be closed.
 const MANY_UNREAD_BYTES: u64 = 2048;
 
-/// Time after which so many unread bytes are discarded, as a real port loses what comes while it is closed. On a busy
-/// machine, a reader and the kernel's own worker are late by less.
+/// Time after which so many unread bytes are discarded, as a real port loses what comes while it is closed. Even on a
+/// busy machine, a reader or the kernel's worker is late by less than this.
 const DISCARDED_AFTER: Duration = Duration::from_millis(500);
 
 /// Interval of lifting exclusive access to the port, which a killed client leaves in place.
@@ -164,7 +164,7 @@ impl AsyncRead for Reader {
 struct Writer {
     pty: Arc<Pty>,
     pacer: Pacer,
-    /// Time since which many bytes are unread.
+    /// Since when many bytes have been unread.
     unread_since: Option<Instant>,
 }
 

@@ -65,7 +65,7 @@ pub async fn open(Shared(context): Shared<Arc<HttpContext>>, mut request: Reques
     Ok(response)
 }
 
-/// Serves an upgraded connection on the sockets' runtimes.
+/// Starts serving an upgraded connection on the sockets' runtimes.
 fn begin(
     upgraded: Upgraded,
     client: (Client, Visitor),

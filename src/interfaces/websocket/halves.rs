@@ -49,7 +49,7 @@ fn registered(stream: std::net::TcpStream, runtime: &Handle) -> io::Result<TcpSt
 #[derive(Debug)]
 pub struct Inbound {
     /// Bytes that arrived in the handshake's last packet.
-    early: io::Cursor<Bytes>,
+    early: Bytes,
     half: ReadingHalf,
     outbox: Arc<Outbox>,
     /// Bytes of the incomplete message.
@@ -68,7 +68,7 @@ const COUNTED_FROM: usize = 8 * 1024;
 
 impl Inbound {
     pub fn new(early: Bytes, half: ReadingHalf, outbox: Arc<Outbox>, held: Option<HeldBytes>) -> Self {
-        Self { early: io::Cursor::new(early), half, outbox, incomplete: 0, reads: 0, held }
+        Self { early, half, outbox, incomplete: 0, reads: 0, held }
     }
 
     /// Marks a message as processed, so that its bytes no longer count.
@@ -98,8 +98,9 @@ impl AsyncRead for Inbound {
             return Poll::Pending;
         }
         let before = buffer.remaining();
-        ready!(Pin::new(&mut self.early).poll_read(context, buffer))?;
-        if buffer.remaining() == before {
+        let early = self.early.len().min(before);
+        buffer.put_slice(&self.early.split_to(early));
+        if early == 0 {
             ready!(Pin::new(&mut self.half).poll_read(context, buffer))?;
         }
         self.incomplete += before - buffer.remaining();

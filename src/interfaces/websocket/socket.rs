@@ -84,7 +84,6 @@ pub struct Socket {
     is_subscribed: bool,
     context: Context,
     permit: Option<Arc<ConnectionPermit>>,
-    _claim: Option<Claim>,
     outbox: Arc<Outbox>,
     writer: AbortOnDropHandle<io::Result<()>>,
     incoming: WebSocketStream<Inbound>,
@@ -106,6 +105,8 @@ pub struct Socket {
     /// Time until which the socket is not read, because its client exceeded the rate limit.
     paused_until: Option<Instant>,
     _connected: Connected,
+    /// Dropped after the descriptors.
+    _claim: Option<Claim>,
 }
 
 /// The result of a message.
@@ -160,7 +161,8 @@ enum End {
     Violation(CloseCode, &'static str),
 }
 
-/// Serves a connection until its end. A task takes as much memory as its future ever needs, so the large parts are boxed.
+/// Serves a connection until its end. A task takes as much memory as its future ever needs, so the large parts are
+/// boxed.
 pub fn serve(
     connection: Connection,
     client: (Client, Visitor),
@@ -169,7 +171,7 @@ pub fn serve(
     let socket = Box::pin(Socket::new(connection, client, context));
     async {
         match socket.await {
-            Ok(socket) => Box::new(socket).run().await,
+            Ok(socket) => socket.run().await,
             Err(error) => tracing::debug!(%error, "WebSocket could not be started"),
         }
     }
@@ -180,7 +182,7 @@ impl Socket {
         Connection { stream, early, permit, claim }: Connection,
         (client, visitor): (Client, Visitor),
         context: Context,
-    ) -> io::Result<Self> {
+    ) -> io::Result<Box<Self>> {
         let held = || permit.as_ref().map(ConnectionPermit::held);
         let runtimes = &context.runtimes;
         let (reader, writer) = halves::split(stream, &runtimes.sockets, &runtimes.observers)?;
@@ -195,13 +197,12 @@ impl Socket {
         let incoming = WebSocketStream::from_raw_socket(inbound, Role::Server, Some(bounds)).await;
         let mut pings = tokio::time::interval(PINGED_EVERY);
         pings.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        Ok(Self {
+        Ok(Box::new(Self {
             client,
             visitor,
             is_subscribed: false,
             held: held(),
             permit,
-            _claim: claim,
             outbox,
             writer,
             incoming,
@@ -215,8 +216,9 @@ impl Socket {
             pace: Arc::default(),
             paused_until: None,
             _connected: context.metrics.connected(),
+            _claim: claim,
             context,
-        })
+        }))
     }
 
     async fn run(mut self: Box<Self>) {

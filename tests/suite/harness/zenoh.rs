@@ -51,8 +51,8 @@ pub fn config(mode: &str, listen: &[&str], connect: &[&str]) -> zenoh::Config {
         ("mode", json!(mode)),
         ("listen/endpoints", json!(listen)),
         ("connect/endpoints", json!(connect)),
-        // A client tries only once by default, which is too early on a busy machine.
-        ("connect/timeout_ms", json!(DEADLINE.as_millis() as u64)),
+        // By default a client tries only once, which can be too early on a busy machine.
+        ("connect/timeout_ms", json!(DEADLINE.as_millis() as u64 / 2)),
         ("scouting/multicast/enabled", json!(false)),
         ("scouting/gossip/autoconnect", json!({"router": [], "peer": [], "client": []})),
     ] {

@@ -26,7 +26,7 @@ const THREADS: u64 = 2;
 /// Time limit of one seed, far above the fraction of a second that it takes.
 const ENDS_WITHIN: Duration = Duration::from_mins(1);
 
-/// Number of failed seeds that ends the run, so that a long run lists several causes.
+/// Number of failed seeds at which the run ends. Until then it goes on, so that a long run lists several causes.
 const MOST_FAILED: usize = 20;
 
 fn variable(name: &str) -> Option<u64> {
@@ -62,7 +62,9 @@ fn no_schedule_violates_an_invariant() {
     let mut failed = Vec::new();
     while let Some((&slowest, begun)) = running.iter().min_by_key(|(_, begun)| **begun) {
         let Ok((seed, counts)) = results.recv_timeout(ENDS_WITHIN.saturating_sub(begun.elapsed())) else {
-            panic!("seed {slowest} did not end within {ENDS_WITHIN:?}: run with SEED={slowest}");
+            panic!(
+                "seed {slowest} did not end within {ENDS_WITHIN:?}: run with SEED={slowest}; seeds that fail: {failed:?}"
+            );
         };
         match counts {
             Some(counts) => {
@@ -73,7 +75,10 @@ fn no_schedule_violates_an_invariant() {
             None => failed.push(seed),
         }
         // One bug may break most seeds.
-        assert!(failed.len() < MOST_FAILED, "seeds {failed:?} fail: run with SEED={seed} for the log of the last");
+        assert!(
+            failed.len() < MOST_FAILED,
+            "stopped at seed {seed}, which fails like {failed:?}: run with SEED={seed}"
+        );
         running.remove(&seed);
         if seed + THREADS < end {
             running.insert(seed + THREADS, Instant::now());
