@@ -146,13 +146,14 @@ fn serial_device() -> (String, std::os::fd::OwnedFd) {
     let line = port.try_clone().unwrap();
     std::thread::spawn(move || {
         let mut request = [0; 64];
+        let asks = [0xAA, 0xAA, 0xAA, id::GET_SYSTEM_INFO];
         while let Ok(count) = rustix::io::read(&master, &mut request[..]) {
             // After an exclusive client, the next one needs this.
             let _ = rustix::termios::ioctl_tiocnxcl(&line);
             let mut reply = Vec::new();
             if tcgetattr(&line).unwrap().output_speed() != 9600 {
                 reply.extend([0x80, 0x7F]);
-            } else if request[..count].starts_with(&[0xAA, 0xAA, 0xAA, id::GET_SYSTEM_INFO]) {
+            } else if request[..count].windows(asks.len()).any(|part| part == asks) {
                 encode_with(id::GET_SYSTEM_INFO, &mut reply, |out| out.extend([0, 0, 1, 3, 0x10, 0x42, 7, 0, 0, 0]));
             }
             let _ = rustix::io::write(&master, &reply);
