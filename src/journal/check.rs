@@ -21,9 +21,6 @@ const NEWEST: i64 = 1024;
 /// Ratio of resting to reading: the check uses at most a fifth of the disk's time.
 const REST: u32 = 4;
 
-/// Scheduling priority of the checking thread: the lowest, which is also the lowest for the disk.
-const NICE: i32 = 19;
-
 /// Time between two attempts to end a check.
 const INTERRUPT_EVERY: Duration = Duration::from_millis(10);
 
@@ -71,8 +68,8 @@ impl Check {
         let (interrupt, stop) = (reader.interrupt_handle(), Arc::new(Stop::default()));
         let (place, until) = (source.place.clone(), stop.clone());
         let thread = spawn("journal-check", move || {
-            // On failure the check runs at normal priority.
-            let _ = rustix::process::setpriority_process(None, NICE);
+            // At normal priority: SQLite's connections share locks, and on a busy machine a thread of low priority can
+            // keep one for longer than a motion waits for its record.
             if let Some(report) = verify_in_parts(&reader, |took| until.rest(took * REST)) {
                 report_damage(&place, &report, &shared);
             }

@@ -92,7 +92,7 @@ async fn check_of_a_journal_that_is_written_and_pruned_finds_nothing() {
     let retention = Retention { max_bytes: Some(4 << 20), ..Retention::default() };
     let (journal, _) = Journal::open(directory.place(), retention).unwrap();
     let reader = Reader::connect(&Source::new(directory.place())).unwrap();
-    // At normal priority and without rests: on a busy machine, the check in the background does not end.
+    // Without rests, so that it ends soon.
     let check = std::thread::spawn(move || verify_in_parts(&reader, |_| true));
     for number in 20_000.. {
         record(&journal, admitted(number.into(), "left", number, None));
@@ -128,7 +128,7 @@ async fn close_ends_a_check() {
     assert!(!journal.is_checked());
     let began = std::time::Instant::now();
     journal.close().await.unwrap();
-    // Other processes delay both alike, since the check has the lowest priority.
+    // Other processes delay both alike.
     assert!(began.elapsed() < whole / 2, "{:?} to close, {whole:?} for a whole check", began.elapsed());
 }
 
