@@ -49,14 +49,17 @@ function Limits({ one }) {
  * is the value that another client has set.
  */
 function useDraft(one, field, asText = asTyped) {
-  const set = asText(one.settings.value[field] ?? null);
-  const value = useSignal(set);
-  const known = useRef(set);
+  const known = one.settings.value;
+  const set = field in known ? asText(known[field]) : null;
+  const value = useSignal(set ?? '');
+  const lastKnown = useRef(set);
   const isOvertaken = useSignal(false);
   useEffect(() => {
-    if (value.peek() === known.current) value.value = set;
-    else if (set !== known.current) isOvertaken.value = true;
-    known.current = set;
+    if (set === null) return;
+    if (value.peek() === (lastKnown.current ?? '')) value.value = set;
+    // The device's first value overtakes no draft.
+    else if (lastKnown.current !== null && set !== lastKnown.current) isOvertaken.value = true;
+    lastKnown.current = set;
   }, [set]);
   useEffect(() => {
     if (value.value === set) isOvertaken.value = false;
