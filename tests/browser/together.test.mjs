@@ -3,7 +3,19 @@
 import assert from 'node:assert/strict';
 import { after, test } from 'node:test';
 
-import { assertClean, browser, endAll, gateway, homed, named, shoot, simulator, until, visit } from './harness.mjs';
+import {
+  assertClean,
+  browser,
+  controlled,
+  endAll,
+  gateway,
+  homed,
+  named,
+  shoot,
+  simulator,
+  until,
+  visit,
+} from './harness.mjs';
 
 after(endAll);
 const launched = await browser();
@@ -81,9 +93,11 @@ test('each request carries the user’s name, for all to see', async () => {
   await named(anna.page, 'Anna Müller');
   await anna.page.click('.alarm:has-text("away") button');
   await ben.page.waitForSelector(`.alarm:has-text("acknowledged by ${who}")`);
-  await anna.page.click('#take-control');
+  await controlled(anna.page);
   const acceleration = '#acceleration-acceleration_mm_s2';
   await anna.page.click('[data-view=device]');
+  // A value that arrives while the field is being filled would be appended.
+  await until('the value is shown', async () => (await anna.page.inputValue(acceleration)) !== '');
   await anna.page.fill(acceleration, '1600');
   await anna.page.locator(`form:has(${acceleration}) button[type=submit]`).click();
   await anna.page.waitForSelector('.settings-panel:has-text("Applied.")');
