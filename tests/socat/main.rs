@@ -9,14 +9,14 @@
 mod harness;
 
 use std::path::{Path, PathBuf};
-use std::process::Stdio;
+use std::process::{Command, Stdio};
 
 use serde_json::{Value, json};
 use tokio::io::{AsyncBufReadExt, BufReader};
-use tokio::process::{Child, Command};
+use tokio::process::ChildStderr;
 
-use harness::process::{Process, signal};
-use harness::{Gateway, Proxy, Simulator, eventually};
+use harness::child::{Child, Signal};
+use harness::{Gateway, Process, Proxy, Simulator, eventually};
 
 fn path(name: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("{}-{name}", std::process::id()))
@@ -26,7 +26,7 @@ fn path(name: &str) -> PathBuf {
 async fn plug_in(pty: &Path, port: &Path) -> Child {
     let mut command = Command::new("socat");
     command.arg(format!("pty,raw,echo=0,link={}", pty.display())).arg(format!("{},raw,echo=0", port.display()));
-    let adapter = command.kill_on_drop(true).spawn().expect("socat has to be installed");
+    let (adapter, ..) = Child::start(&mut command);
     eventually("the adapter's pty", async || pty.exists().then_some(())).await;
     adapter
 }
@@ -41,7 +41,8 @@ async fn pulled_adapter_is_named_and_reconnected() {
     gateway.until_link("connected").await;
     gateway.post("home", &json!({})).await.outcome("SUCCESS");
 
-    adapter.kill().await.unwrap();
+    adapter.kill();
+    adapter.ended().await;
     let state = gateway.until_link("reconnecting").await;
     let cause = state["link_cause"].as_str().unwrap();
     assert!(cause.contains(port.to_str().unwrap()), "{cause}");
@@ -63,9 +64,9 @@ async fn pulled_adapter_is_named_and_reconnected() {
 async fn between(gateway: &Gateway) -> (Child, String) {
     let target = gateway.url("/").replace("http://", "TCP:").trim_end_matches('/').to_owned();
     let mut command = Command::new("socat");
-    command.args(["-d", "-d", "TCP-LISTEN:0,bind=127.0.0.1", &target]).stderr(Stdio::piped()).kill_on_drop(true);
-    let mut child = command.spawn().expect("socat has to be installed");
-    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
+    command.args(["-d", "-d", "TCP-LISTEN:0,bind=127.0.0.1", &target]).stderr(Stdio::piped());
+    let (child, _, stderr) = Child::start(&mut command);
+    let mut lines = BufReader::new(ChildStderr::from_std(stderr.unwrap()).unwrap()).lines();
     loop {
         let line = lines.next_line().await.unwrap().expect("socat listens");
         if let Some((_, address)) = line.split_once("listening on AF=2 ") {
@@ -88,8 +89,7 @@ async fn client_frozen_past_its_lease_moves_nothing() {
         answer.json::<Value>().await.unwrap()
     };
     let lease = post("lease", json!({"holder": "a", "ttl_ms": 300})).await;
-    let pid = frozen.id().unwrap();
-    signal(pid, "STOP");
+    frozen.signal(Signal::STOP);
 
     let thawed = post("move", json!({"width_mm": 10, "speed_mm_s": 50, "lease": lease["token"]}));
     let meanwhile = async {
@@ -98,7 +98,7 @@ async fn client_frozen_past_its_lease_moves_nothing() {
         let body = json!({"width_mm": 90, "speed_mm_s": 200, "lease": taken["token"]});
         gateway.post("move", &body).await.outcome("SUCCESS");
         let motions = proxy.frames.motions();
-        signal(pid, "CONT");
+        frozen.signal(Signal::CONT);
         motions
     };
     let (refused, motions) = tokio::join!(thawed, meanwhile);

@@ -3,12 +3,12 @@
 use std::fs::File;
 use std::os::linux::fs::MetadataExt as _;
 use std::path::PathBuf;
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 
 use tokio::net::UnixDatagram;
 
+use crate::harness::child::{Child, Signal};
 use crate::harness::eventually;
-use crate::harness::process::signal;
 
 /// Receives the next message of this name.
 async fn until(socket: &UnixDatagram, name: &str) {
@@ -20,16 +20,6 @@ async fn until(socket: &UnixDatagram, name: &str) {
     eventually(name, received).await;
 }
 
-/// A service, killed at the end of the test.
-struct Service(Child);
-
-impl Drop for Service {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
 #[tokio::test]
 async fn service_is_ready_feeds_the_watchdog_and_logs_priorities() {
     let directory = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("{}-systemd", std::process::id()));
@@ -38,7 +28,8 @@ async fn service_is_ready_feeds_the_watchdog_and_logs_priorities() {
     let socket = UnixDatagram::bind(&notify).unwrap();
     let file = File::create(&log).unwrap();
     let metadata = file.metadata().unwrap();
-    let service = Command::new(env!("CARGO_BIN_EXE_wsg-gateway"))
+    let mut command = Command::new(env!("CARGO_BIN_EXE_wsg-gateway"));
+    command
         .args(["--listen", "127.0.0.1:0", "--zenoh-mode", "off", "--journal", ":memory:"])
         .args(["--gripper", "g=sim://wsg50"])
         .env("NOTIFY_SOCKET", &notify)
@@ -46,15 +37,14 @@ async fn service_is_ready_feeds_the_watchdog_and_logs_priorities() {
         .env("JOURNAL_STREAM", format!("{}:{}", metadata.st_dev(), metadata.st_ino()))
         .stdin(Stdio::null())
         .stdout(Stdio::null())
-        .stderr(file)
-        .spawn();
-    let mut service = Service(service.unwrap());
+        .stderr(file);
+    let (mut service, ..) = Child::start(&mut command);
     until(&socket, "READY=1").await;
     until(&socket, "WATCHDOG=1").await;
     until(&socket, "WATCHDOG=1").await;
-    signal(service.0.id(), "TERM");
+    service.signal(Signal::TERM);
     until(&socket, "STOPPING=1").await;
-    let ended = eventually("the end", async || service.0.try_wait().unwrap()).await;
+    let ended = service.ended().await;
     let log = std::fs::read_to_string(&log).unwrap();
     std::fs::remove_dir_all(&directory).unwrap();
     assert!(ended.success(), "{log}");

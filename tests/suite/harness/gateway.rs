@@ -2,13 +2,23 @@
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
+use std::time::Duration;
 
 use reqwest::header::{AUTHORIZATION, HeaderMap};
 use reqwest::{Method, RequestBuilder, Response};
 use serde_json::{Value, json};
 
+use super::child::Signal;
 use super::eventually;
 use super::process::{Ended, Process};
+
+/// Idle time after which a connection is not used again. The gateway closes it after 10 s.
+const POOL_IDLE_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// Builder of a client that avoids connections which the gateway may be closing.
+fn client() -> reqwest::ClientBuilder {
+    reqwest::Client::builder().pool_idle_timeout(POOL_IDLE_TIMEOUT)
+}
 
 /// A gateway. Paths are relative to its gripper `g`, unless they begin with a slash.
 #[derive(Debug)]
@@ -150,7 +160,7 @@ impl Gateway {
         if let Some(first) = secrets.first() {
             headers.insert(AUTHORIZATION, format!("Bearer {first}").parse().unwrap());
         }
-        gateway.http = reqwest::Client::builder().default_headers(headers).build().unwrap();
+        gateway.http = client().default_headers(headers).build().unwrap();
         gateway.tokens = Some(path.to_owned());
         (gateway, secrets)
     }
@@ -160,7 +170,7 @@ impl Gateway {
         let process = Process::start(&[&["--listen", "127.0.0.1:0"], arguments].concat());
         let base = process.word_after(" at http://").await;
         let base = format!("http://{}", base.trim_end_matches('/'));
-        Self { process, base, http: reqwest::Client::new(), tokens: None }
+        Self { process, base, http: client().build().unwrap(), tokens: None }
     }
 
     /// Log so far.
@@ -270,16 +280,16 @@ impl Gateway {
 
     /// Suspends the process until [`Gateway::thaw`].
     pub fn freeze(&self) {
-        self.process.signal("STOP");
+        self.process.signal(Signal::STOP);
     }
 
     pub fn thaw(&self) {
-        self.process.signal("CONT");
+        self.process.signal(Signal::CONT);
     }
 
     /// Sends SIGHUP, which makes the gateway read its configuration again.
     pub fn hang_up(&self) {
-        self.process.signal("HUP");
+        self.process.signal(Signal::HUP);
     }
 
     /// Sends SIGTERM, and waits for the exit.

@@ -2,6 +2,7 @@
 //! and an independent scripted device. The operating system chooses all ports; every wait is for a value and has a
 //! deadline.
 
+pub mod child;
 mod command_line;
 mod frames;
 mod gateway;

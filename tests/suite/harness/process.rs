@@ -1,13 +1,14 @@
 //! A running process of the binary, with its output. The process ends with the test.
 
-use std::process::{ExitStatus, Stdio};
+use std::process::{Command, ExitStatus, Stdio};
 use std::sync::{Arc, Mutex};
 
 use tokio::io::{AsyncBufReadExt, AsyncRead, BufReader};
-use tokio::process::{Child, Command};
+use tokio::process::{ChildStderr, ChildStdout};
 use tokio::sync::watch;
 
-use super::{DEADLINE, eventually};
+use super::child::{Child, Signal};
+use super::eventually;
 
 /// Lines that a process has printed so far.
 #[derive(Debug)]
@@ -49,13 +50,7 @@ pub struct Ended {
     pub stderr: String,
 }
 
-pub fn signal(pid: u32, name: &str) {
-    let sent =
-        std::process::Command::new("sh").args(["-c", "kill -\"$1\" \"$2\"", "sh", name, &pid.to_string()]).status();
-    assert!(sent.unwrap().success(), "SIG{name} to {pid}");
-}
-
-/// A process of the binary, killed by its own id on drop.
+/// A process of the binary, killed on drop.
 #[derive(Debug)]
 pub struct Process {
     child: Child,
@@ -72,10 +67,10 @@ impl Process {
         }
         // No files stay behind, unless a test sets a path.
         command.env("WSG_GATEWAY_JOURNAL", ":memory:");
-        command.args(arguments).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).kill_on_drop(true);
-        let mut child = command.spawn().expect("the binary starts");
-        let stdout = Output::of(child.stdout.take().unwrap());
-        let stderr = Output::of(child.stderr.take().unwrap());
+        command.args(arguments).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let (child, stdout, stderr) = Child::start(&mut command);
+        let stdout = Output::of(ChildStdout::from_std(stdout.unwrap()).unwrap());
+        let stderr = Output::of(ChildStderr::from_std(stderr.unwrap()).unwrap());
         Self { child, stdout, stderr }
     }
 
@@ -110,21 +105,20 @@ impl Process {
     }
 
     pub fn terminate(&self) {
-        self.signal("TERM");
+        self.signal(Signal::TERM);
     }
 
-    pub fn signal(&self, name: &str) {
-        signal(self.child.id().expect("the process runs"), name);
+    pub fn signal(&self, signal: Signal) {
+        self.child.signal(signal);
     }
 
-    pub fn kill(&mut self) {
-        self.child.start_kill().expect("the process runs");
+    pub fn kill(&self) {
+        self.child.kill();
     }
 
     /// Waits for the exit.
     pub async fn ended(&mut self) -> Ended {
-        let ended = tokio::time::timeout(DEADLINE, self.child.wait()).await;
-        let status = ended.unwrap_or_else(|_| panic!("the process does not exit: {}", self.stderr.text())).unwrap();
+        let status = self.child.ended().await;
         Ended { status, stdout: self.stdout.all().await, stderr: self.stderr.all().await }
     }
 }
@@ -132,7 +126,7 @@ impl Process {
 impl Drop for Process {
     fn drop(&mut self) {
         if std::thread::panicking() {
-            eprintln!("--- standard error of process {:?} ---\n{}", self.child.id(), self.stderr.text());
+            eprintln!("--- standard error of process {} ---\n{}", self.child.id, self.stderr.text());
         }
     }
 }

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 use serde_json::{Value, json};
 use tokio::time::timeout;
 
+use super::BUSY_MARGIN;
 use super::router::Router;
 use crate::harness::{DEADLINE, Gateway, Proxy, Simulator, Socket, ZenohClient, eventually};
 
@@ -72,7 +73,7 @@ async fn thirty_grippers_are_one_fleet_again_after_a_router_restart() {
         30
     );
 
-    let endpoint = router.kill();
+    let endpoint = router.kill().await;
     for gateway in gateways {
         let others = names.iter().filter(|name| gateway_name(gateway) != **name);
         for other in others {
@@ -267,7 +268,7 @@ async fn client_lost_during_a_remote_move_is_noticed_after_its_ttl() {
     waiting.abort();
     let stopped = eventually("23h", async || pair.proxy.frames.first_since(FAST_STOP, gone)).await;
     println!("23h {} ms after the client's end, with a ttl_ms of {}", (stopped - gone).as_millis(), TTL.as_millis());
-    assert!(stopped - gone < TTL + DEADLINE / 10, "{:?}", stopped - gone);
+    assert!(stopped - gone < TTL + 2 * BUSY_MARGIN, "{:?}", stopped - gone);
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -331,7 +332,7 @@ async fn frozen_gateway_is_gone_within_two_seconds() {
     let pair = Pair::start().await;
     pair.far.freeze();
     let took = until_gone(&pair.near, "far").await;
-    assert!(took < GONE_WITHIN + DEADLINE / 20, "{took:?}");
+    assert!(took < GONE_WITHIN + BUSY_MARGIN, "{took:?}");
     pair.far.thaw();
     until_whole(&pair.near, 2).await;
 }
@@ -341,7 +342,7 @@ async fn gone_gateway_behind_a_frozen_router_gets_no_request() {
     let pair = Pair::start().await;
     pair.router.freeze();
     let took = until_gone(&pair.near, "far").await;
-    assert!(took < GONE_WITHIN + DEADLINE / 20, "{took:?}");
+    assert!(took < GONE_WITHIN + BUSY_MARGIN, "{took:?}");
     let before = pair.proxy.frames.motions();
     for path in ["/home", "/tare"] {
         pair.near.post(&far(path), &json!({})).await.problem(503, "gateway_gone");
@@ -356,7 +357,7 @@ async fn fleet_fast_stop_is_repeated_after_a_router_outage() {
     let pair = Pair::start().await;
     pair.near.post(&far("/home"), &json!({"direction": "outer"})).await.outcome("SUCCESS");
     let Pair { router, _device, proxy, near, far: there } = pair;
-    let endpoint = router.kill();
+    let endpoint = router.kill().await;
     until_gone(&near, "far").await;
     let stopped = near.post("/api/v1/fleet/fast-stop", &json!({"reason": "light curtain"})).await.ok();
     assert_eq!(stopped["fast_stop_confirmed"], false, "the gripper may still move: {stopped}");
@@ -374,7 +375,7 @@ async fn fleet_fast_stop_is_repeated_after_a_router_outage() {
 async fn lease_survives_a_router_outage_within_its_ttl() {
     let mut pair = Pair::start().await;
     let lease = pair.near.post(&far("/lease"), &json!({"holder": "plc", "ttl_ms": 60000})).await.text("token");
-    let endpoint = pair.router.kill();
+    let endpoint = pair.router.kill().await;
     until_gone(&pair.near, "far").await;
     assert_eq!(pair.far.state().await["lease_holder"], "plc");
     pair.router = Router::at(endpoint);
@@ -389,7 +390,7 @@ async fn lease_survives_a_router_outage_within_its_ttl() {
     let waiting = tokio::spawn(slow.send());
     pair.far.until_moving().await;
     let away = Instant::now();
-    let _endpoint = pair.router.kill();
+    let _endpoint = pair.router.kill().await;
     let stopped = eventually("23h", async || pair.proxy.frames.first_since(FAST_STOP, away)).await;
     println!("23h {} ms after the router's end, with a ttl_ms of 1000", (stopped - away).as_millis());
     let state = pair.far.until("the FAST STOP is confirmed", |state| state["fast_stop_confirmed"] == true).await;

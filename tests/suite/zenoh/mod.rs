@@ -9,7 +9,12 @@ mod recipes;
 pub mod router;
 mod tls;
 
+use std::time::Duration;
+
 use crate::harness::{Gateway, Proxy, Simulator, ZenohClient};
+
+/// Time that other tests on the machine may add.
+const BUSY_MARGIN: Duration = Duration::from_secs(1);
 
 /// A connected gripper `g` behind a recording proxy, and a client.
 struct Rig {

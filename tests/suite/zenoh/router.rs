@@ -1,13 +1,13 @@
 //! A Zenoh router that can be killed and restarted.
 
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use serde_json::json;
 
 use super::commands::readiness;
 use super::fleet::gateway;
-use crate::harness::process::signal;
+use crate::harness::child::{Child, Signal};
 use crate::harness::{eventually, zenoh::config};
 
 /// Environment variable that turns [`router_process`] into a router.
@@ -34,31 +34,24 @@ impl Router {
     pub fn at(endpoint: String) -> Self {
         let mut command = Command::new(std::env::current_exe().unwrap());
         command.args(["--exact", "zenoh::router::router_process"]).env(ROUTER_AT, &endpoint);
-        let child = command.stdout(Stdio::null()).spawn().unwrap();
+        let (child, ..) = Child::start(command.stdout(Stdio::null()));
         Self { child, endpoint }
     }
 
     /// Suspends the process until [`Router::thaw`].
     pub fn freeze(&self) {
-        signal(self.child.id(), "STOP");
+        self.child.signal(Signal::STOP);
     }
 
     pub fn thaw(&self) {
-        signal(self.child.id(), "CONT");
+        self.child.signal(Signal::CONT);
     }
 
     /// Kills the router without notice, and returns its endpoint.
-    pub fn kill(mut self) -> String {
-        self.child.kill().unwrap();
-        self.child.wait().unwrap();
-        std::mem::take(&mut self.endpoint)
-    }
-}
-
-impl Drop for Router {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+    pub async fn kill(mut self) -> String {
+        self.child.kill();
+        self.child.ended().await;
+        self.endpoint
     }
 }
 
@@ -87,7 +80,7 @@ async fn readiness_reports_a_router_outage_until_it_ends() {
     // `other` connects to this gateway, which affects only its own readiness.
     let other = super::fleet::gateway("other", &gateway.word_after("Zenoh: ").await, 1, &[]).await;
     eventually("the other gateway is ready", async || (readiness(&other).await.0 == true).then_some(())).await;
-    let endpoint = router.kill();
+    let endpoint = router.kill().await;
     let not_ready = eventually("the missing router is reported", async || {
         let (ready, cause, up) = readiness(&gateway).await;
         (ready == false && up == 0.0).then_some(cause)
