@@ -5,8 +5,7 @@ use std::path::Path;
 
 use serde_json::json;
 
-use crate::harness::Gateway;
-use crate::journal_files::File;
+use crate::harness::{Gateway, JournalFile};
 
 /// The program, and keys of its configuration, which are named like metrics.
 const OTHER_NAMES: &[&str] =
@@ -34,7 +33,7 @@ fn texts(directory: &Path) -> Vec<(String, String)> {
 
 #[tokio::test]
 async fn monitored_metrics_exist() {
-    let journal = File::new("monitored");
+    let journal = JournalFile::new();
     let gateway = Gateway::with_webhook(&[
         "--gripper",
         "g=sim://wsg50",

@@ -1,6 +1,6 @@
 //! `wsg-gateway journal` on a file that another process writes.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use jiff::Timestamp;
 use serde_json::json;
@@ -9,28 +9,7 @@ use wsg_gateway::gripper::model::{Detail, Event, GatewayEvent, Link, LinkEvent, 
 use wsg_gateway::gripper::recorder::{Record, Recorder as _};
 use wsg_gateway::journal::{Journal, JournalLocation, Retention};
 
-use crate::harness::{Gateway, Process, Simulator, eventually, run};
-
-/// A journal file, removed after the test.
-pub struct File(PathBuf);
-
-impl File {
-    pub fn new(name: &str) -> Self {
-        let path = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("{}-{name}", std::process::id()));
-        std::fs::create_dir_all(&path).unwrap();
-        Self(path)
-    }
-
-    pub fn path(&self) -> String {
-        self.0.join("journal.db").to_str().unwrap().to_owned()
-    }
-}
-
-impl Drop for File {
-    fn drop(&mut self) {
-        std::fs::remove_dir_all(&self.0).unwrap();
-    }
-}
+use crate::harness::{Gateway, JournalFile, Process, Simulator, eventually, run};
 
 async fn keep(journal: &Journal, second: i64, gripper: Option<&str>, detail: Detail) {
     let (notify, durable) = oneshot::channel();
@@ -49,7 +28,7 @@ fn link(link: Link, cause: Option<&str>) -> Detail {
 }
 
 /// Returns an open journal with three events.
-async fn filled(file: &File) -> Journal {
+async fn filled(file: &JournalFile) -> Journal {
     let (journal, _) = Journal::open(JournalLocation::File(file.path().into()), Retention::default()).unwrap();
     keep(&journal, 1000, None, started()).await;
     keep(&journal, 1001, Some("left"), link(Link::Connected, None)).await;
@@ -58,12 +37,10 @@ async fn filled(file: &File) -> Journal {
 }
 
 /// Starts a gateway with a simulated device and this journal, and homes the gripper.
-async fn gateway(device: &Simulator, file: &File, on_failure: &str) -> Gateway {
-    let config = file.0.join("gateway.toml");
-    std::fs::write(&config, format!("on_journal_failure = \"{on_failure}\"\n")).unwrap();
+async fn gateway(device: &Simulator, file: &JournalFile, on_failure: &str) -> Gateway {
     let gripper = format!("g=tcp://{}", device.address);
-    let arguments = ["--gripper", &gripper, "--journal", &file.path(), "--config", config.to_str().unwrap()];
-    let gateway = Gateway::start(&arguments).await;
+    let arguments = ["--gripper", &gripper, "--journal", &file.path()];
+    let gateway = Gateway::with_file(&arguments, &format!("on_journal_failure = \"{on_failure}\"\n")).await;
     gateway.until_link("connected").await;
     gateway.post("home", &json!({})).await.outcome("SUCCESS");
     gateway
@@ -72,7 +49,7 @@ async fn gateway(device: &Simulator, file: &File, on_failure: &str) -> Gateway {
 #[tokio::test]
 async fn removed_or_replaced_journal_is_reported_and_blocks_motion() {
     for is_replaced in [false, true] {
-        let (file, device) = (File::new(&format!("lost-{is_replaced}")), Simulator::start(&[]).await);
+        let (file, device) = (JournalFile::new(), Simulator::start(&[]).await);
         let gateway = gateway(&device, &file, "refuse").await;
         std::fs::remove_file(file.path()).unwrap();
         if is_replaced {
@@ -100,7 +77,7 @@ async fn removed_or_replaced_journal_is_reported_and_blocks_motion() {
 
 #[tokio::test]
 async fn motions_continue_without_a_journal_if_configured() {
-    let (file, device) = (File::new("lost-continue"), Simulator::start(&[]).await);
+    let (file, device) = (JournalFile::new(), Simulator::start(&[]).await);
     let gateway = gateway(&device, &file, "continue").await;
     std::fs::remove_file(file.path()).unwrap();
     gateway.until("the failure is reported", |state| state["journal_cause"].is_string()).await;
@@ -109,7 +86,7 @@ async fn motions_continue_without_a_journal_if_configured() {
 }
 
 /// Output lines of a journal subcommand.
-async fn output(file: &File, arguments: &[&str]) -> Vec<String> {
+async fn output(file: &JournalFile, arguments: &[&str]) -> Vec<String> {
     let ended = run(&[&["journal", "--journal", &file.path()], arguments].concat()).await;
     assert!(ended.status.success(), "{arguments:?}: {ended:?}");
     ended.stdout.lines().map(str::to_owned).collect()
@@ -117,7 +94,7 @@ async fn output(file: &File, arguments: &[&str]) -> Vec<String> {
 
 #[tokio::test]
 async fn list_applies_its_filters() {
-    let file = File::new("list");
+    let file = JournalFile::new();
     let _journal = filled(&file).await;
     assert_eq!(
         output(&file, &["list"]).await,
@@ -144,7 +121,7 @@ async fn list_applies_its_filters() {
 
 #[tokio::test]
 async fn export_writes_json_and_csv() {
-    let file = File::new("export");
+    let file = JournalFile::new();
     let _journal = filled(&file).await;
     let json = output(&file, &["export"]).await;
     assert_eq!(json.len(), 3);
@@ -158,7 +135,7 @@ async fn export_writes_json_and_csv() {
 
 #[tokio::test]
 async fn follow_prints_stored_and_new_events() {
-    let file = File::new("follow");
+    let file = JournalFile::new();
     let journal = filled(&file).await;
     let since = Process::start(&["journal", "--journal", &file.path(), "follow", "--after", "1"]);
     let left = Process::start(&["journal", "--journal", &file.path(), "follow", "--after", "0", "--gripper", "left"]);
@@ -171,7 +148,7 @@ async fn follow_prints_stored_and_new_events() {
 
 #[tokio::test]
 async fn verify_finds_a_changed_event() {
-    let file = File::new("verify");
+    let file = JournalFile::new();
     let journal = filled(&file).await;
     let expected = ["3 events, 0 grip records, 0 persisted values: all intact"];
     assert_eq!(output(&file, &["verify"]).await, expected);
@@ -189,7 +166,7 @@ async fn verify_finds_a_changed_event() {
 
 #[tokio::test]
 async fn wrong_argument_is_named_with_a_remedy() {
-    let file = File::new("mistakes");
+    let file = JournalFile::new();
     let _journal = filled(&file).await;
     let path = file.path();
     let none = Path::new(&path).with_file_name("none.db");

@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use wsg_gateway::gripper::model::{CommandReport, Outcome};
 use wsg_gateway::journal::{Journal, JournalLocation, Reader, Retention};
 
-use crate::harness::{Answer, Gateway, run};
+use crate::harness::{Answer, Gateway, JournalFile, run};
 
 /// Number of kills without `KILLS`.
 const DEFAULT_KILLS: u64 = 5;
@@ -62,19 +62,18 @@ async fn killed_gateway_keeps_reported_commands() {
 
 /// Kills gateways that use one journal, one after another.
 async fn kill_repeatedly(kills: u64) {
-    let directory = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("{}-kills", std::process::id()));
-    let path = directory.join("journal.db");
-    let name = path.to_str().unwrap();
+    let journal = JournalFile::on_disk();
+    let (path, name) = (PathBuf::from(journal.path()), journal.path());
     let (mut reported, mut last_seq, mut killed_at) = (Reported::default(), 0, Vec::new());
     for _ in 0..kills {
-        let gateway = Gateway::start(&["--gripper", "g=sim://wsg50", "--journal", name]).await;
+        let gateway = Gateway::start(&["--gripper", "g=sim://wsg50", "--journal", &name]).await;
         gateway.until_link("connected").await;
         let kill_after = Duration::from_millis(rand::rng().random_range(0..LONGEST_TRAFFIC_MS));
         // The kill comes at a random moment, so nothing is waited for.
         let _ = tokio::time::timeout(kill_after, traffic(&gateway, &mut reported)).await;
         killed_at.push(Instant::now());
         gateway.kill().await;
-        let verified = run(&["journal", "verify", "--journal", name]).await;
+        let verified = run(&["journal", "verify", "--journal", &name]).await;
         assert!(verified.status.success(), "{verified:?}");
         let reader = Reader::open(&path).unwrap();
         for id in reported.0.keys() {
@@ -100,5 +99,4 @@ async fn kill_repeatedly(kills: u64) {
     assert!(compared > kills, "only {compared} outcomes could be compared");
     println!("{kills} kills, {} reported commands, all in the journal, up to seq {last_seq}", reported.0.len());
     assert!(reported.0.len() as u64 > kills, "too little traffic");
-    std::fs::remove_dir_all(directory).unwrap();
 }

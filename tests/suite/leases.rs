@@ -1,13 +1,12 @@
 //! The lease over HTTP: waiting PLCs, lost and frozen clients, hand-over, and a restart of the gateway.
 
-use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 use tokio::io::AsyncWriteExt;
 use tokio::net::TcpStream;
 
-use crate::harness::{Gateway, Proxy, Simulator, eventually, shortest};
+use crate::harness::{Gateway, JournalFile, Proxy, Simulator, eventually, shortest};
 
 const FAST_STOP: u8 = 0x23;
 const STOP: u8 = 0x22;
@@ -194,11 +193,9 @@ async fn lease_is_requested_and_handed_over() {
 #[tokio::test]
 async fn latch_and_epoch_survive_a_gateway_restart() {
     let device = Simulator::start(&[]).await;
-    let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("{}-leases", std::process::id()));
-    std::fs::create_dir_all(&folder).unwrap();
-    let path = folder.join("journal.db");
+    let journal = JournalFile::new();
     let gripper = format!("g=tcp://{}", device.address);
-    let arguments = ["--gripper", &gripper, "--journal", path.to_str().unwrap()];
+    let arguments = ["--gripper", &gripper, "--journal", &journal.path()];
     let gateway = Gateway::start(&arguments).await;
     gateway.until_link("connected").await;
     take(&gateway, "a", 60_000).await;
@@ -217,6 +214,4 @@ async fn latch_and_epoch_survive_a_gateway_restart() {
     let gateway = Gateway::start(&arguments).await;
     gateway.until_link("connected").await;
     assert!(gateway.post("lease", &json!({})).await.ok()["epoch"].as_u64() > Some(2));
-    gateway.kill().await;
-    std::fs::remove_dir_all(&folder).unwrap();
 }

@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use crate::harness::{Answer, Gateway, Simulator, Socket, ZenohClient, eventually};
+use crate::harness::{Answer, Gateway, JournalFile, Simulator, Socket, ZenohClient, eventually};
 
 const RECIPE: &str = "/api/v1/recipes/A-1047";
 
@@ -286,16 +286,12 @@ async fn limits_are_proposed_from_grips() {
 #[tokio::test]
 async fn recipes_survive_a_kill() {
     let device = Simulator::with_part().await;
-    let journal = std::env::temp_dir().join(format!("wsg-recipes-{}.db", uuid::Uuid::now_v7()));
+    let journal = JournalFile::new();
     let gripper = format!("g=tcp://{}", device.address);
-    let arguments = ["--gripper", &gripper, "--journal", journal.to_str().unwrap()];
+    let arguments = ["--gripper", &gripper, "--journal", &journal.path()];
     let gateway = Gateway::start(&arguments).await;
     let set = set(&gateway, &recipe(19.0, 21.0)).await;
     gateway.kill().await;
     let gateway = Gateway::start(&arguments).await;
     assert_eq!(gateway.get(RECIPE).await.ok(), set);
-    drop(gateway);
-    for end in ["", "-wal", "-shm", "-lock"] {
-        let _ = std::fs::remove_file(format!("{}{end}", journal.display()));
-    }
 }

@@ -1,11 +1,9 @@
 //! End of a gateway: orderly with an announcement, or abrupt with a FAST STOP by the device.
 
-use std::path::PathBuf;
-
 use serde_json::{Value, json};
 use wsg_gateway::journal::{EventKind, EventQuery, Filter, GripQuery, Reader};
 
-use crate::harness::{Frame, Gateway, Proxy, Simulator};
+use crate::harness::{Frame, Gateway, JournalFile, Proxy, Simulator};
 
 fn ids(frames: &[Frame]) -> Vec<u8> {
     frames.iter().map(|frame| frame.id).collect()
@@ -103,9 +101,8 @@ async fn next_gateway_after_sigkill_reports_the_fast_stop() {
 
 #[tokio::test]
 async fn last_events_before_the_exit_are_in_the_journal() {
-    let directory = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("{}-ends", std::process::id()));
-    let path = directory.join("journal.db");
-    let arguments = ["--gripper", "g=sim://wsg50?part_mm=20", "--journal", path.to_str().unwrap()];
+    let journal = JournalFile::new();
+    let arguments = ["--gripper", "g=sim://wsg50?part_mm=20", "--journal", &journal.path()];
     let gateway = Gateway::start(&arguments).await;
     gateway.until_link("connected").await;
     gateway.post("home", &json!({})).await.outcome("SUCCESS");
@@ -114,12 +111,11 @@ async fn last_events_before_the_exit_are_in_the_journal() {
     }
     gateway.post("grip", &json!({"width_mm": 20, "speed_mm_s": 200})).await.outcome("PART_HELD");
     assert!(gateway.terminate().await.status.success());
-    let reader = Reader::open(&path).unwrap();
+    let reader = Reader::open(journal.path().as_ref()).unwrap();
     let filter = Filter { kind: Some(EventKind::Refused), ..Filter::default() };
     let refused = reader.events(&EventQuery { filter, ..EventQuery::default() }).unwrap();
     let count = |body: &str| serde_json::from_str::<Value>(body).unwrap()["count"].as_u64().unwrap();
     assert_eq!(refused.bodies.iter().map(|body| count(body)).sum::<u64>(), 5, "{refused:?}");
     let grips = reader.grips(&GripQuery::default()).unwrap();
     assert!(grips.bodies[0].contains("\"kind\":\"grip\""), "{grips:?}");
-    std::fs::remove_dir_all(directory).unwrap();
 }

@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use crate::harness::{Gateway, Simulator, Socket, ZenohClient, eventually};
+use crate::harness::{Gateway, JournalFile, Simulator, Socket, ZenohClient, eventually};
 
 const FINGER_SET: &str = "finger-set";
 
@@ -79,9 +79,9 @@ async fn planted_drift_raises_a_warning_at_the_limit() {
 #[tokio::test]
 async fn finger_set_counts_grips_until_its_maintenance() {
     let device = Simulator::with_part().await;
-    let path = std::env::temp_dir().join(format!("wsg-wear-{}.db", uuid::Uuid::now_v7()));
+    let journal = JournalFile::new();
     let gripper = format!("g=tcp://{}", device.address);
-    let arguments = ["--gripper", &gripper, "--journal", path.to_str().unwrap()];
+    let arguments = ["--gripper", &gripper, "--journal", &journal.path()];
     let gateway = Gateway::start(&arguments).await;
     gateway.until_link("connected").await;
     gateway.post("home", &json!({})).await.outcome("SUCCESS");
@@ -120,17 +120,15 @@ async fn finger_set_counts_grips_until_its_maintenance() {
     let mut socket = Socket::open(&gateway).await;
     let ground = json!({"gripper": "g", "id": "12", "maintenance_cycles": 2, "reset": true});
     assert_eq!(socket.call("finger-set.set", ground).await["cycles"], 0);
-    let ended = async || alarms(&gateway).await.iter().find(|alarm| !alarm["ended_at"].is_null()).cloned();
-    let ended = eventually("the alarm ends", ended).await;
-    let ids = json!({"ids": [ended["id"]]});
-    gateway.post("/api/v1/alarms/acknowledge", &ids).await.ok();
-    assert_eq!(alarms(&gateway).await, Vec::<Value>::new());
+    let is_due_alarm = |alarm: &&Value| alarm["id"] == due["id"];
+    let has_ended = |alarm: &&Value| !alarm["ended_at"].is_null();
+    let ended = async || alarms(&gateway).await.iter().find(is_due_alarm).filter(has_ended).cloned();
+    eventually("the alarm ends", ended).await;
+    gateway.post("/api/v1/alarms/acknowledge", &json!({"ids": [due["id"]]})).await.ok();
+    assert_eq!(alarms(&gateway).await.iter().find(is_due_alarm), None);
     let events = gateway.events("kind=settings", 2).await;
     let newest = (&events[0]["setting"], &events[0]["finger_set"], &events[0]["gripper"]);
     assert_eq!(newest, (&json!("finger_set"), &json!("12"), &json!("g")));
-    for end in ["", "-wal", "-shm", "-lock"] {
-        let _ = std::fs::remove_file(format!("{}{end}", path.display()));
-    }
 }
 
 #[tokio::test]

@@ -1,7 +1,5 @@
 //! Webhooks of a real gateway, over restarts.
 
-use std::path::PathBuf;
-
 use axum::Router;
 use axum::http::{HeaderMap, StatusCode};
 use axum::routing::post;
@@ -9,7 +7,7 @@ use serde_json::{Value, json};
 use tokio::net::TcpListener;
 use tokio::sync::mpsc;
 
-use crate::harness::{Gateway, eventually};
+use crate::harness::{Gateway, JournalFile, eventually};
 
 const SECRET: &str = "whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw";
 
@@ -35,17 +33,15 @@ async fn receiver() -> (String, mpsc::Receiver<Delivered>) {
 }
 
 struct Rig {
-    directory: PathBuf,
+    journal: JournalFile,
     address: String,
     deliveries: mpsc::Receiver<Delivered>,
 }
 
 impl Rig {
     async fn new() -> Self {
-        let directory = std::env::temp_dir().join(format!("wsg-webhooks-{}", uuid::Uuid::now_v7()));
-        std::fs::create_dir(&directory).unwrap();
         let (address, deliveries) = receiver().await;
-        Self { directory, address, deliveries }
+        Self { journal: JournalFile::new(), address, deliveries }
     }
 
     async fn start(&self) -> Gateway {
@@ -54,8 +50,7 @@ impl Rig {
              url = \"http://{}/hooks/s3cret\"\nsecret = \"{SECRET}\"\n",
             self.address
         );
-        let journal = self.directory.join("journal.db");
-        let gateway = Gateway::with_file(&["--journal", journal.to_str().unwrap()], &toml).await;
+        let gateway = Gateway::with_file(&["--journal", &self.journal.path()], &toml).await;
         gateway.until_link("connected").await;
         gateway
     }
@@ -64,12 +59,6 @@ impl Rig {
     async fn next(&mut self) -> (String, i64, String) {
         let (id, body) = self.deliveries.recv().await.unwrap();
         (id, body["seq"].as_i64().unwrap(), body["event"].as_str().unwrap().to_owned())
-    }
-}
-
-impl Drop for Rig {
-    fn drop(&mut self) {
-        std::fs::remove_dir_all(&self.directory).unwrap();
     }
 }
 
