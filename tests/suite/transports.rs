@@ -26,7 +26,7 @@ fn serial() -> String {
 
 conformance!(on_tcp, crate::transports::tcp());
 conformance!(on_udp, crate::transports::udp());
-conformance!(on_serial, crate::transports::serial());
+conformance!(on_serial, crate::transports::serial(), run by crate::harness::on_pty);
 
 #[tokio::test]
 async fn cut_on_udp_is_noticed() {

@@ -2,6 +2,7 @@
 
 pub mod rig;
 
+use std::future::Future;
 use std::time::Duration;
 
 use tokio::time::sleep;
@@ -15,20 +16,29 @@ use wsg_gateway::wsg::{
 
 use rig::{Rig, SOON, client, home, move_to};
 
-/// Expands to the suite for one transport. `$url` is an expression for the URL of a new simulated device.
+/// Default of `$run` in [`conformance!`].
+pub async fn once<T: Future<Output = ()>>(test: impl Fn() -> T) {
+    test().await;
+}
+
+/// Expands to the suite for one transport. `$url` is an expression for the URL of a new simulated device, and `$run`
+/// runs one test.
 #[macro_export]
 macro_rules! conformance {
     ($transport:ident, $url:expr) => {
-        $crate::conformance!($transport, $url,
+        $crate::conformance!($transport, $url, run by $crate::conformance::once);
+    };
+    ($transport:ident, $url:expr, run by $run:path) => {
+        $crate::conformance!($transport, $url, $run,
             every_command automatic_updates fast_stop_during_a_motion reboot_during_a_motion silence_and_recovery
             pulled_wire_and_recovery orderly_end);
     };
-    ($transport:ident, $url:expr, $($test:ident)*) => {
+    ($transport:ident, $url:expr, $run:path, $($test:ident)*) => {
         mod $transport {
             $(
                 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
                 async fn $test() {
-                    $crate::conformance::$test(&$url).await;
+                    $run(async || $crate::conformance::$test(&$url).await).await;
                 }
             )*
         }

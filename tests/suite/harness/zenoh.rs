@@ -1,7 +1,6 @@
 //! A client on a Zenoh network.
 
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
 
 use serde_json::{Value, json};
 use zenoh::bytes::ZBytes;
@@ -139,6 +138,6 @@ impl ZenohClient {
     }
 
     pub async fn close(self) {
-        tokio::time::timeout(Duration::from_secs(5), self.session.close()).await.unwrap().unwrap();
+        tokio::time::timeout(DEADLINE, self.session.close()).await.unwrap().unwrap();
     }
 }

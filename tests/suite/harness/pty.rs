@@ -1,0 +1,60 @@
+//! Tests whose device is on a pty. A worker of the kernel moves a pty's bytes, and on a busy machine it can be kept
+//! waiting for seconds.
+
+use std::future::Future;
+use std::panic::resume_unwind;
+use std::time::{Duration, Instant};
+
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::runtime::Builder;
+use tokio::sync::oneshot;
+use tokio::task::spawn_blocking;
+use tokio_serial::SerialStream;
+
+/// Delay of a byte that can make a test fail: the longest gap within a frame.
+const LATE: Duration = Duration::from_millis(100);
+
+/// Interval of the bytes that measure the delay.
+const MEASURED_EVERY: Duration = Duration::from_millis(5);
+
+/// Maximum number of runs of a test.
+const RUNS: usize = 3;
+
+/// Runs a test, and runs it again if it fails while bytes of another pty are late. Each run has a runtime of its own.
+pub async fn on_pty<T: Future<Output = ()>>(test: impl Fn() -> T + Copy + Send + 'static) {
+    for run in 1..=RUNS {
+        let (stop, is_over) = oneshot::channel();
+        // On a thread and a runtime that the tested gateway cannot delay.
+        let slowest = std::thread::spawn(move || {
+            Builder::new_current_thread().enable_all().build().unwrap().block_on(slowest(is_over))
+        });
+        let runtime = Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
+        let ended = spawn_blocking(move || runtime.block_on(test())).await;
+        drop(stop);
+        let slowest = slowest.join().unwrap();
+        match ended {
+            Ok(()) => return,
+            Err(failed) if run == RUNS || slowest < LATE => resume_unwind(failed.into_panic()),
+            Err(_) => println!("running again, because a byte of another pty took {slowest:?}"),
+        }
+    }
+}
+
+/// Returns the slowest delivery of a byte until the sender of `is_over` is dropped.
+async fn slowest(mut is_over: oneshot::Receiver<()>) -> Duration {
+    let (mut near, mut far) = SerialStream::pair().unwrap();
+    let mut slowest = Duration::ZERO;
+    loop {
+        let sent = Instant::now();
+        near.write_all(b"?").await.unwrap();
+        let ended = tokio::select! {
+            _ = &mut is_over => true,
+            read = far.read_u8() => read.map(|_| false).unwrap(),
+        };
+        slowest = slowest.max(sent.elapsed());
+        if ended {
+            return slowest;
+        }
+        tokio::time::sleep(MEASURED_EVERY).await;
+    }
+}
