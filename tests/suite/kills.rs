@@ -63,7 +63,8 @@ async fn killed_gateway_keeps_reported_commands() {
 /// Kills gateways that use one journal, one after another.
 async fn kill_repeatedly(kills: u64) {
     let journal = JournalFile::on_disk();
-    let (path, name) = (PathBuf::from(journal.path()), journal.path());
+    let name = journal.path();
+    let path = PathBuf::from(&name);
     let (mut reported, mut last_seq, mut killed_at) = (Reported::default(), 0, Vec::new());
     for _ in 0..kills {
         let gateway = Gateway::start(&["--gripper", "g=sim://wsg50", "--journal", &name]).await;

@@ -120,12 +120,13 @@ async fn finger_set_counts_grips_until_its_maintenance() {
     let mut socket = Socket::open(&gateway).await;
     let ground = json!({"gripper": "g", "id": "12", "maintenance_cycles": 2, "reset": true});
     assert_eq!(socket.call("finger-set.set", ground).await["cycles"], 0);
-    let is_due_alarm = |alarm: &&Value| alarm["id"] == due["id"];
-    let has_ended = |alarm: &&Value| !alarm["ended_at"].is_null();
-    let ended = async || alarms(&gateway).await.iter().find(is_due_alarm).filter(has_ended).cloned();
-    eventually("the alarm ends", ended).await;
-    gateway.post("/api/v1/alarms/acknowledge", &json!({"ids": [due["id"]]})).await.ok();
-    assert_eq!(alarms(&gateway).await.iter().find(is_due_alarm), None);
+    // On a busy machine, the start can leave alarms as well.
+    let ended =
+        async || Some(alarms(&gateway).await).filter(|all| all.iter().all(|alarm| !alarm["ended_at"].is_null()));
+    let ids: Vec<_> = eventually("the alarms end", ended).await.iter().map(|alarm| alarm["id"].clone()).collect();
+    assert!(ids.contains(&due["id"]), "{ids:?}");
+    gateway.post("/api/v1/alarms/acknowledge", &json!({"ids": ids})).await.ok();
+    assert_eq!(alarms(&gateway).await, Vec::<Value>::new());
     let events = gateway.events("kind=settings", 2).await;
     let newest = (&events[0]["setting"], &events[0]["finger_set"], &events[0]["gripper"]);
     assert_eq!(newest, (&json!("finger_set"), &json!("12"), &json!("g")));
