@@ -31,12 +31,24 @@ pub struct Connectivity {
 }
 
 impl Connectivity {
+    /// Returns the configuration with a single attempt for each endpoint to listen on.
+    pub fn without_retries(&self) -> zenoh::Result<zenoh::Config> {
+        let mut config = self.config.clone();
+        config.insert_json5("listen/timeout_ms", "0")?;
+        Ok(config)
+    }
+
+    /// Whether the session listens on all endpoints.
+    pub async fn listens(&self, session: &zenoh::Session) -> bool {
+        missing(&self.listen, &locators(session).await).is_empty()
+    }
+
     /// Watches the endpoints while it is polled. Calls `opened` with new locators, and reports missing listeners and
     /// connections with their causes.
     pub async fn watch(&self, session: &zenoh::Session, network: &Peers, mut opened: impl FnMut(&[String])) {
         let (mut known, mut looks_after, mut was_connected) = (Vec::new(), LOOKS_AFTER, false);
         loop {
-            let mut locators: Vec<_> = session.info().locators().await.iter().map(ToString::to_string).collect();
+            let mut locators = locators(session).await;
             let missing = missing(&self.listen, &locators);
             locators.retain(|locator| !known.contains(locator));
             opened(&locators);
@@ -98,6 +110,10 @@ pub fn say(network: &Peers, cause: Option<String>) {
         }
         network.set_cause(cause);
     }
+}
+
+async fn locators(session: &zenoh::Session) -> Vec<String> {
+    session.info().locators().await.iter().map(ToString::to_string).collect()
 }
 
 /// Returns the endpoints that nothing listens on.

@@ -85,16 +85,14 @@ pub async fn serve(settings: ZenohSettings, context: Context, opened: impl FnMut
             context.gateway.peers.set_cause(Some(format!("Zenoh declarations failed: {error}")));
         }
     }
-    if tokio::time::timeout(FAREWELL_WITHIN, session.close()).await.is_err() {
-        tracing::warn!("Zenoh session did not close within {FAREWELL_WITHIN:?}");
-    }
+    close(&session).await;
 }
 
 /// Opens a session, retrying until it succeeds.
 async fn open_at_last(connectivity: &Connectivity, network: &Peers) -> zenoh::Session {
     let mut again_after = OPENED_AGAIN_AFTER;
     loop {
-        match open(connectivity.config.clone()).await {
+        match open(connectivity).await {
             Ok(session) => return session,
             Err(error) => connectivity::say(network, Some(format!("Zenoh could not be opened: {error}"))),
         }
@@ -103,15 +101,33 @@ async fn open_at_last(connectivity: &Connectivity, network: &Peers) -> zenoh::Se
     }
 }
 
+/// Opens a session. Only if it does not listen on all endpoints at once, opens one that retries them in the background:
+/// Zenoh can lose a listener from its list of locators if it adds the listener while it opens the session.
+async fn open(connectivity: &Connectivity) -> zenoh::Result<zenoh::Session> {
+    if let Ok(session) = open_with(connectivity.without_retries()?).await {
+        if connectivity.listens(&session).await {
+            return Ok(session);
+        }
+        close(&session).await;
+    }
+    open_with(connectivity.config.clone()).await
+}
+
 /// Opens a session on its own thread. Zenoh can block forever while it waits for a router, so shutdown does not wait
 /// for this thread.
-async fn open(config: zenoh::Config) -> zenoh::Result<zenoh::Session> {
+async fn open_with(config: zenoh::Config) -> zenoh::Result<zenoh::Session> {
     let (send, opened) = oneshot::channel();
     std::thread::Builder::new().name("zenoh-open".to_owned()).spawn(move || {
         // The receiver may be gone by now.
         let _ = send.send(zenoh::open(config).wait());
     })?;
     opened.await?
+}
+
+async fn close(session: &zenoh::Session) {
+    if tokio::time::timeout(FAREWELL_WITHIN, session.close()).await.is_err() {
+        tracing::warn!("Zenoh session did not close within {FAREWELL_WITHIN:?}");
+    }
 }
 
 /// The gateway's declarations, which end when this is dropped.
@@ -180,4 +196,47 @@ async fn declare(session: &zenoh::Session, context: &Context, max_hz: u32) -> ze
     // Others see the gateway only now that it answers.
     declared.alive.push(session.liveliness().declare_token(declared.keys.own("alive")).await?);
     Ok(declared)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn listening_on(listen: Vec<String>) -> Connectivity {
+        let mut config = zenoh::Config::default();
+        for (key, value) in [
+            ("listen/endpoints", serde_json::json!(listen).to_string()),
+            ("listen/exit_on_failure", "false".to_owned()),
+            ("listen/timeout_ms", "-1".to_owned()),
+            ("listen/retry", r#"{"period_init_ms": 10, "period_max_ms": 10}"#.to_owned()),
+            ("scouting/multicast/enabled", "false".to_owned()),
+        ] {
+            config.insert_json5(key, &value).unwrap();
+        }
+        Connectivity { config, listen, connect: Vec::new() }
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn opened_session_listens_at_once() {
+        let connectivity = listening_on(vec!["tcp/127.0.0.1:0".to_owned()]);
+        for _ in 0..10 {
+            let session = open(&connectivity).await.unwrap();
+            assert!(connectivity.listens(&session).await);
+            close(&session).await;
+        }
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn taken_endpoint_is_retried_without_the_others() {
+        let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let endpoints = vec!["tcp/127.0.0.1:0".to_owned(), format!("tcp/{}", taken.local_addr().unwrap())];
+        let connectivity = listening_on(endpoints);
+        let session = open(&connectivity).await.unwrap();
+        assert!(!connectivity.listens(&session).await);
+        drop(taken);
+        while !connectivity.listens(&session).await {
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
+        close(&session).await;
+    }
 }
