@@ -1,11 +1,10 @@
 // Accessibility beyond axe: focus, forced colours, unique names, and Escape in an open list.
 
 import assert from 'node:assert/strict';
-import { after, test } from 'node:test';
+import { test } from 'node:test';
 
-import { assertClean, browser, controlled, endAll, gateway, homed, shoot, until, visit } from './harness.mjs';
+import { assertClean, browser, controlled, gateway, homed, shoot, until, visit } from './harness.mjs';
 
-after(endAll);
 const launched = await browser();
 
 const VIEWS = ['operate', 'history', 'log', 'device', 'all'];
@@ -43,7 +42,6 @@ test('focus stays after Take control, a motion and Acknowledge', async () => {
   await page.mouse.click(700, 790);
   await page.waitForFunction(() => document.activeElement === document.body);
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('Escape in an open list stops', async () => {
@@ -66,7 +64,6 @@ test('Escape in an open list stops', async () => {
   await until('each press is sent', () => sent >= 2);
   assert.equal(sent, 2, 'each press is one FAST STOP');
   assertClean(visitor);
-  await visitor.close();
 });
 
 /** Accessible names that several controls share. */
@@ -108,7 +105,6 @@ test('every control of a view has its own name', async () => {
   await page.waitForSelector('.alarm:nth-child(2)');
   assert.deepEqual(await sharedNames(page), [], 'stopped');
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('forced colours show what is selected', async () => {
@@ -152,5 +148,4 @@ test('forced colours show what is selected', async () => {
     assert.ok(!(await highlighted(other)), other);
   await shoot(page, 'forced-colours', { fullPage: true });
   assertClean(visitor);
-  await visitor.close();
 });

@@ -1,11 +1,10 @@
 // Alarms of the gateway, which all browsers share.
 
 import assert from 'node:assert/strict';
-import { after, test } from 'node:test';
+import { test } from 'node:test';
 
-import { assertClean, browser, endAll, gateway, shoot, simulator, until, visit } from './harness.mjs';
+import { assertClean, browser, gateway, shoot, simulator, until, visit } from './harness.mjs';
 
-after(endAll);
 const launched = await browser();
 
 const GRIPPERS = 24;
@@ -33,7 +32,6 @@ test('one STOP of 24 grippers is acknowledged with two clicks, for all browsers'
     assert.equal((await served.ask('GET', `grippers/${gripper}/state`)).fast_stop, false, gripper);
   }
   [anna, ben].forEach(assertClean);
-  await Promise.all([anna.close(), ben.close()]);
 });
 
 test('a FAST STOP after the list was opened is not acknowledged with it', async () => {
@@ -52,7 +50,6 @@ test('a FAST STOP after the list was opened is not acknowledged with it', async 
   assert.equal((await served.ask('GET', 'grippers/left/state')).fast_stop_id, later.fast_stop_id);
   assert.equal((await served.ask('GET', 'grippers/right/state')).fast_stop, false);
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('an alarm keeps its time over a reload, and is in the history', async () => {
@@ -79,5 +76,4 @@ test('an alarm keeps its time over a reload, and is in the history', async () =>
     await page.waitForSelector(`tbody tr:has-text("${text}")`);
   await shoot(page, 'alarms-history', { fullPage: true });
   assertClean(visitor);
-  await visitor.close();
 });

@@ -1,11 +1,10 @@
 // Charts that begin with the gateway's values.
 
 import assert from 'node:assert/strict';
-import { after, test } from 'node:test';
+import { test } from 'node:test';
 
-import { assertClean, browser, endAll, gateway, homed, named, until, visit } from './harness.mjs';
+import { assertClean, browser, gateway, homed, named, until, visit } from './harness.mjs';
 
-after(endAll);
 const launched = await browser();
 
 test('charts show the time before a reload', async () => {
@@ -23,7 +22,6 @@ test('charts show the time before a reload', async () => {
   // Samples of the way from 109 mm are 20 mm apart.
   assert.ok(Math.max(...widths) > 80 && Math.abs(widths.at(-1) - 50) < 1, `${widths}`);
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('the history names the user who moved a gripper', async () => {
@@ -36,5 +34,4 @@ test('the history names the user who moved a gripper', async () => {
   await page.click('[data-choice=records-events]');
   await page.waitForSelector('tbody tr:has-text("Home"):has-text("Anna (127.0.0.1)")');
   assertClean(visitor);
-  await visitor.close();
 });

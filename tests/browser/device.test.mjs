@@ -1,11 +1,10 @@
 // The device view: fingers and diagnostics, and the tab's title.
 
 import assert from 'node:assert/strict';
-import { after, test } from 'node:test';
+import { test } from 'node:test';
 
-import { assertClean, browser, controlled, endAll, gateway, shoot, simulator, until, visit } from './harness.mjs';
+import { assertClean, browser, controlled, gateway, shoot, simulator, until, visit } from './harness.mjs';
 
-after(endAll);
 const launched = await browser();
 
 test('a finger fault leads to the fingers, with their flags in words', async () => {
@@ -20,7 +19,6 @@ test('a finger fault leads to the fingers, with their flags in words', async () 
   assert.equal(await page.locator('[data-finger="2"] .finger-fault').count(), 0);
   await shoot(page, 'fingers', { fullPage: true });
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('a generic finger’s power is switched, and a force finger shows N', async () => {
@@ -43,7 +41,6 @@ test('a generic finger’s power is switched, and a force finger shows N', async
   );
   await page.waitForSelector('[data-finger="1"] button:has-text("Power on")');
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('a finger set is named, counts its grips, and asks for maintenance', async () => {
@@ -72,7 +69,6 @@ test('a finger set is named, counts its grips, and asks for maintenance', async 
   await panel.locator('dd:has-text("0 / 1")').waitFor();
   assert.equal(await panel.locator('.tone-low').count(), 0);
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('diagnostics are shown, and the title has the gateway and its alarms', async () => {
@@ -87,5 +83,4 @@ test('diagnostics are shown, and the title has the gateway and its alarms', asyn
   await page.click('#stop');
   await page.waitForFunction(() => document.title === '(1) left – cell-1');
   assertClean(visitor);
-  await visitor.close();
 });

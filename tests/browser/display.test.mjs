@@ -1,11 +1,10 @@
 // Displayed values: current settings and results, late answers, and ambiguous input.
 
 import assert from 'node:assert/strict';
-import { after, test } from 'node:test';
+import { test } from 'node:test';
 
-import { assertClean, browser, controlled, endAll, gateway, homed, named, until, visit } from './harness.mjs';
+import { assertClean, browser, controlled, gateway, homed, named, until, visit } from './harness.mjs';
 
-after(endAll);
 const launched = await browser();
 
 test('another client’s change of a setting is shown, and keeps typed input', async () => {
@@ -45,12 +44,11 @@ test('another client’s change of a setting is shown, and keeps typed input', a
   await page.fill('#force', '');
   await page.waitForSelector('#force-hint:has-text("25 N")');
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('a force limit lowered by overdrive is shown without an event', async () => {
   const served = await gateway();
-  const { page, close } = await visit(launched, served, { path: '/#/left/device' });
+  const { page } = await visit(launched, served, { path: '/#/left/device' });
   const force = '#force-limit-force_n';
   const shows = (value) =>
     page.waitForFunction(([field, wanted]) => document.querySelector(field)?.value === wanted, [force, value]);
@@ -63,14 +61,13 @@ test('a force limit lowered by overdrive is shown without an event', async () =>
   await page.waitForSelector('.meanwhile:has-text("Meanwhile set to 80 N by –.")');
   await page.click('.meanwhile button');
   await shows('80');
-  await close();
 });
 
 test('a late answer does not overwrite that of a newer filter', async () => {
   const served = await gateway();
   await served.ask('POST', 'grippers/left/home');
   await served.ask('POST', 'grippers/left/move', { width_mm: 50, speed_mm_s: 300 });
-  const { page, close } = await visit(launched, served, { path: '/#/left/history' });
+  const { page } = await visit(launched, served, { path: '/#/left/history' });
   await page.waitForSelector('tbody tr:nth-child(2)');
   let letGo;
   const held = new Promise((resolve) => {
@@ -109,12 +106,11 @@ test('a late answer does not overwrite that of a newer filter', async () => {
       }),
   );
   await only('Home');
-  await close();
 });
 
 test('the first screen works without the other modules, and STOP too', async () => {
   const served = await gateway();
-  const { page, close } = await visit(launched, served);
+  const { page } = await visit(launched, served);
   await page.route('**/later.js', (route) => route.abort());
   await page.goto(served.url);
   await page.waitForSelector('.missing [role=alert]:has-text("could not be loaded")');
@@ -126,7 +122,6 @@ test('the first screen works without the other modules, and STOP too', async () 
   await page.click('.missing button');
   await page.waitForSelector('.motion-panel .latch');
   assert.equal(await page.locator('.missing').count(), 0);
-  await close();
 });
 
 test('a name that is typed before the page is complete is kept', async () => {
@@ -153,7 +148,6 @@ test('a name that is typed before the page is complete is kept', async () => {
   await controlled(page);
   assert.equal((await served.ask('GET', 'grippers/left/state')).lease_holder, 'Anna');
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('updates before the page is ready are kept, from one subscription', async () => {
@@ -218,7 +212,7 @@ test('a failed first connection is retried', async () => {
 
 test('charts follow the colour scheme', async () => {
   const served = await gateway();
-  const { page, close } = await visit(launched, served, { colorScheme: 'light' });
+  const { page } = await visit(launched, served, { colorScheme: 'light' });
   await homed(page);
   /** Darkest and lightest pixel of the chart: on a dark page the trace is the lightest, on a light page the grid. */
   const trace = () =>
@@ -241,7 +235,6 @@ test('charts follow the colour scheme', async () => {
     const { light, dark } = await trace();
     return light >= 0xa9 && dark >= 0x28;
   });
-  await close();
 });
 
 test('texts are cut like in the gateway, and ambiguous numbers are not sent', async () => {
@@ -267,24 +260,22 @@ test('texts are cut like in the gateway, and ambiguous numbers are not sent', as
   assert.equal(events.find(({ command, phase }) => command === 'grip' && phase === 'admitted').part_id, 'ä'.repeat(24));
   assert.deepEqual((await served.ask('GET', 'events?kind=refused')).events, []);
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('a problem with missing values is shown in the gateway’s words', async () => {
   const served = await gateway();
-  const { page, close } = await visit(launched, served);
+  const { page } = await visit(launched, served);
   await page.waitForSelector('#take-control');
   const said = (problem) => page.evaluate(`ofProblem(${JSON.stringify(problem)})`);
   assert.equal(await said({ code: 'lease_held', holder: 'Anna', detail: 'held' }), 'Anna has control.');
   assert.equal(await said({ code: 'malformed', detail: 'expected a comma at line 1' }), 'expected a comma at line 1');
   assert.equal(await said({ code: 'out_of_range', field: 'width_mm', value: 0, min: 0, detail: 'beyond' }), 'beyond');
   assert.equal(await said({ code: 'a_new_one' }), 'a_new_one');
-  await close();
 });
 
 test('the log is covered while the gateway is silent', async () => {
   const served = await gateway();
-  const { page, allowed, close } = await visit(launched, served, { path: '/#/left/log' });
+  const { page, allowed } = await visit(launched, served, { path: '/#/left/log' });
   await page.click('#with-updates');
   await page.waitForSelector('.frame');
   served.child.kill('SIGSTOP');
@@ -295,5 +286,4 @@ test('the log is covered while the gateway is silent', async () => {
     served.child.kill('SIGCONT');
   }
   await page.waitForFunction(() => !document.querySelector('.cover'));
-  await close();
 });

@@ -2,11 +2,10 @@
 
 import assert from 'node:assert/strict';
 import { createServer } from 'node:http';
-import { after, test } from 'node:test';
+import { test } from 'node:test';
 
-import { assertClean, browser, endAll, gateway, started, until, visit } from './harness.mjs';
+import { assertClean, browser, gateway, started, until, visit } from './harness.mjs';
 
-after(endAll);
 const launched = await browser();
 
 const MOST_REQUESTS = 10;
@@ -71,7 +70,6 @@ test('the first load needs few requests', async () => {
   const manifest = await (await fetch(await page.locator('link[rel=manifest]').evaluate(({ href }) => href))).json();
   assert.equal(manifest.start_url, '/');
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('a widget is shown alone, in a frame of a configured page', async () => {
@@ -101,5 +99,4 @@ test('a widget is shown alone, in a frame of a configured page', async () => {
   framed = `${served.url}/?view=jaws#/right`;
   const refused = await visit(launched, { url });
   await until('the browser refuses the frame', () => refused.wrong.some((text) => text.includes('frame-ancestors')));
-  await refused.close();
 });

@@ -8,6 +8,7 @@ import { createServer, request } from 'node:http';
 import { createRequire } from 'node:module';
 import { tmpdir } from 'node:os';
 import { join } from 'node:path';
+import { after, afterEach } from 'node:test';
 import { fileURLToPath } from 'node:url';
 
 const ROOT = fileURLToPath(new URL('../../', import.meta.url));
@@ -162,13 +163,15 @@ export async function slowReads({ url }) {
   return { url: `http://127.0.0.1:${proxy.address().port}`, held: () => waiting.size };
 }
 
+/** Launches the browser for all tests of a file. Whatever a test starts ends with the test. */
 export async function browser() {
   const launched = await chromium.launch({ executablePath: CHROMIUM, args: FLAGS, chromiumSandbox: false });
-  started.push(() => launched.close());
+  afterEach(endAll);
+  after(() => launched.close());
   return launched;
 }
 
-/** Opens a fresh browser context with a watched page. */
+/** Opens a fresh browser context with a watched page, until the test ends. */
 export async function visit(launched, { url }, { path = '/', width = 1280, height = 800, ...more } = {}) {
   const context = await launched.newContext({
     viewport: { width, height },
@@ -176,6 +179,7 @@ export async function visit(launched, { url }, { path = '/', width = 1280, heigh
     timezoneId: 'UTC',
     ...more,
   });
+  started.push(() => context.close());
   context.setDefaultTimeout(DEADLINE_MS);
   const page = await context.newPage();
   const wrong = [];

@@ -1,11 +1,10 @@
 // The history: filters, all grippers, overlaid curves, numbers per part, events in words, and the printed report.
 
 import assert from 'node:assert/strict';
-import { after, test } from 'node:test';
+import { test } from 'node:test';
 
-import { assertClean, browser, endAll, gateway, shoot, until, visit } from './harness.mjs';
+import { assertClean, browser, gateway, shoot, until, visit } from './harness.mjs';
 
-after(endAll);
 const launched = await browser();
 
 const post = (served, path, body) => served.ask('POST', `grippers/${path}`, body);
@@ -47,7 +46,6 @@ test('records are filtered by time, and shown for all grippers', async () => {
   const [file] = await Promise.all([page.waitForEvent('download'), page.click('#export')]);
   assert.equal(file.suggestedFilename(), 'all-grips.csv');
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('parts are searched by the beginning of their ids', async () => {
@@ -64,7 +62,6 @@ test('parts are searched by the beginning of their ids', async () => {
   await page.fill('#part-filter', 'ot-');
   await page.waitForSelector('p:has-text("No records.")');
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('curves are laid over each other, with the values under one cursor', async () => {
@@ -89,7 +86,6 @@ test('curves are laid over each other, with the values under one cursor', async 
   await curve(2);
   await page.waitForFunction(() => document.querySelectorAll('.lines li').length === 1);
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('numbers per part are shown', async () => {
@@ -104,7 +100,6 @@ test('numbers per part are shown', async () => {
   await page.fill('#part-filter', 'lot-2');
   await page.waitForFunction(() => !document.querySelector('.numbers'), null);
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('a part shows its trend, distribution and limits, and its newest curves', async () => {
@@ -129,7 +124,6 @@ test('a part shows its trend, distribution and limits, and its newest curves', a
   await page.click('.numbers button:has-text("lot-2")');
   await page.waitForFunction(() => !document.querySelector('.part-report'));
   assertClean(visitor);
-  await visitor.close();
 });
 
 for (const [locale, words] of [
@@ -150,7 +144,6 @@ for (const [locale, words] of [
     for (const word of words) assert.match(text, word);
     assert.doesNotMatch(text, /_mm|_n\b|part_id|enabled/);
     assertClean(visitor);
-    await visitor.close();
   });
 }
 
@@ -176,5 +169,4 @@ test('the report is printed without controls', async () => {
     assert.ok(await page.locator(there).isVisible(), there);
   await shoot(page, 'report', { fullPage: true });
   assertClean(visitor);
-  await visitor.close();
 });

@@ -1,22 +1,10 @@
 // Control and commands across a change of view, forced control, a lost connection and a second tab.
 
 import assert from 'node:assert/strict';
-import { after, test } from 'node:test';
+import { test } from 'node:test';
 
-import {
-  assertClean,
-  browser,
-  controlled,
-  endAll,
-  gateway,
-  homed,
-  named,
-  simulator,
-  until,
-  visit,
-} from './harness.mjs';
+import { assertClean, browser, controlled, gateway, homed, named, simulator, until, visit } from './harness.mjs';
 
-after(endAll);
 const launched = await browser();
 
 test('handed-over control is taken from any view', async () => {
@@ -33,7 +21,6 @@ test('handed-over control is taken from any view', async () => {
   const { events } = await served.ask('GET', 'events?kind=lease&order=oldest');
   assert.equal(events.at(-1).event, 'handed_over');
   [anna, ben].forEach(assertClean);
-  await Promise.all([anna.close(), ben.close()]);
 });
 
 test('control handed over at once is taken too', async () => {
@@ -57,7 +44,6 @@ test('control handed over at once is taken too', async () => {
   await ben.page.click('#ask-control');
   await anna.page.click('#hand-over');
   await ben.page.waitForSelector('.status.tone-mine');
-  await Promise.all([anna.close(), ben.close()]);
 });
 
 test('only the first request for control is confirmed', async () => {
@@ -74,7 +60,6 @@ test('only the first request for control is confirmed', async () => {
   await cleo.page.click('#ask-control');
   await cleo.page.waitForSelector('.problem:has-text("Ben asked for control first")');
   assert.equal(await cleo.page.locator('.control-panel:has-text("Control requested.")').count(), 0);
-  await Promise.all([anna, ben, cleo].map((one) => one.close()));
 });
 
 test('releasing a jog after a forced take does not stop the new holder', async () => {
@@ -103,7 +88,7 @@ test('releasing a jog after a forced take does not stop the new holder', async (
 test('releasing a jog stops it even if its answer was lost', async () => {
   const device = await simulator();
   const served = await gateway({ more: ['--gripper', `left=${device.url}`] });
-  const { page, close } = await visit(launched, served);
+  const { page } = await visit(launched, served);
   await homed(page);
   await page.fill('#speed', '5');
   await page.locator('#jog-close').hover();
@@ -118,7 +103,6 @@ test('releasing a jog stops it even if its answer was lost', async () => {
   await page.mouse.up();
   await until('the fingers stand', async () => (await state()).moving === false);
   assert.ok((await state()).width_mm > 5, 'stopped on its way');
-  await close();
 });
 
 /** Starts a jog by Anna, with a request for control by Ben. `toAnna` and `toGateway` filter the messages. */
@@ -154,7 +138,7 @@ async function jogging({ toAnna = () => true, toGateway = () => true }) {
       const { events } = await served.ask('GET', 'events?kind=command&outcome=ABORTED');
       return events.length > 0 && (await state()).moving === false;
     });
-  return { state, stopped, page: anna.page, close: () => Promise.all([anna.close(), ben.close()]) };
+  return { state, stopped, page: anna.page };
 }
 
 test('the cancel of a handed-over jog is repeated', async () => {
@@ -164,11 +148,10 @@ test('the cancel of a handed-over jog is repeated', async () => {
     lost += 1;
     return false;
   };
-  const { stopped, page, close } = await jogging({ toGateway });
+  const { stopped, page } = await jogging({ toGateway });
   await page.mouse.up();
   await stopped();
   assert.equal(lost, 2);
-  await close();
 });
 
 test('a handed-over jog is cancelled as soon as its id is known', async () => {
@@ -183,17 +166,16 @@ test('a handed-over jog is cancelled as soon as its id is known', async () => {
     named = pass;
     return false;
   };
-  const { state, stopped, page, close } = await jogging({ toAnna, toGateway });
+  const { state, stopped, page } = await jogging({ toAnna, toGateway });
   await page.mouse.up();
   assert.equal((await state()).moving, true);
   named();
   await stopped();
-  await close();
 });
 
 test('a command lost with the gateway is not shown as running', async () => {
   const first = await gateway();
-  const { page, allowed, close } = await visit(launched, first);
+  const { page, allowed } = await visit(launched, first);
   await homed(page);
   await page.fill('#width', '5');
   await page.fill('#speed', '5');
@@ -209,7 +191,6 @@ test('a command lost with the gateway is not shown as running', async () => {
   await page.waitForSelector('.last[data-outcome]:not([data-outcome=running])');
   assert.equal(await page.locator('.jaws .target').count(), 0);
   assert.doesNotMatch(await page.locator('.jaws-words').innerText(), /target/);
-  await close();
 });
 
 test('two tabs are two clients and share presets', async () => {
@@ -238,5 +219,4 @@ test('two tabs are two clients and share presets', async () => {
   await one.page.waitForSelector('.preset:has-text("large")');
   for (const page of [one.page, other]) assert.equal(await page.locator('.preset').count(), 2);
   assertClean(one);
-  await one.close();
 });

@@ -1,11 +1,10 @@
 // Layout and navigation: what must be in view, many grippers, German texts, Back, and presets.
 
 import assert from 'node:assert/strict';
-import { after, test } from 'node:test';
+import { test } from 'node:test';
 
-import { assertClean, browser, controlled, endAll, gateway, homed, shoot, until, visit } from './harness.mjs';
+import { assertClean, browser, controlled, gateway, homed, shoot, until, visit } from './harness.mjs';
 
-after(endAll);
 const launched = await browser();
 
 const SIZES = {
@@ -48,7 +47,6 @@ for (const [size, shape] of Object.entries(SIZES)) {
     });
     assert.deepEqual(hidden, []);
     assertClean(visitor);
-    await visitor.close();
   });
 }
 
@@ -71,7 +69,6 @@ test('the page’s own reads leave room for the user’s requests', async () => 
   // The gateway refuses more than 32 on a connection.
   assert.ok(most > 0 && most <= 16, `${most} requests at the same time`);
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('every gripper of many can be reached, in the order of their numbers', async () => {
@@ -89,7 +86,6 @@ test('every gripper of many can be reached, in the order of their numbers', asyn
   await served.ask('POST', 'grippers/greifer3/fast-stop');
   await page.waitForFunction(() => /FAST STOP/.test(document.querySelector('#gripper-list option:nth-child(3)').text));
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('Back returns to the previous view, and control stays', async () => {
@@ -112,7 +108,6 @@ test('Back returns to the previous view, and control stays', async () => {
   await page.goBack();
   await page.waitForSelector('#all-title');
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('a chosen curve comes into view on a phone', async () => {
@@ -131,7 +126,6 @@ test('a chosen curve comes into view on a phone', async () => {
     );
   });
   assertClean(visitor);
-  await visitor.close();
 });
 
 for (const [size, shape] of Object.entries({ narrow: { width: 320, height: 568 }, ...SIZES })) {
@@ -170,7 +164,6 @@ for (const [size, shape] of Object.entries({ narrow: { width: 320, height: 568 }
     await page.waitForSelector('#acknowledge:enabled');
     assert.deepEqual(await cut(), [], 'stopped');
     assertClean(visitor);
-    await visitor.close();
   });
 }
 
@@ -192,7 +185,6 @@ test('each step with presets can be undone', async () => {
   await page.click('.preset button:has-text("small")');
   assert.equal(await page.inputValue('#width'), '33');
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('charts show the value under the cursor, and their axes have distinct labels', async () => {
@@ -227,7 +219,6 @@ test('charts show the value under the cursor, and their axes have distinct label
     [],
   );
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('the jaws stay inside the body, with their width beside them', async () => {
@@ -245,7 +236,6 @@ test('the jaws stay inside the body, with their width beside them', async () => 
   );
   for (const jaw of jaws) assert.ok(jaw.left >= body.left && jaw.right <= body.right, JSON.stringify({ body, jaw }));
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('the ruler reads as the width that it shows', async () => {
@@ -264,7 +254,6 @@ test('the ruler reads as the width that it shows', async () => {
   });
   labels.forEach((at, index) => assert.ok(Math.abs(at - fingers[index]) < 1, `${labels} ${fingers}`));
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('a notice with two long buttons fits on the narrowest screen', async () => {
@@ -289,5 +278,4 @@ test('a notice with two long buttons fits on the narrowest screen', async () => 
   });
   assert.equal(width, 320);
   assertClean(visitor);
-  await visitor.close();
 });

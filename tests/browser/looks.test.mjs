@@ -5,13 +5,12 @@ import assert from 'node:assert/strict';
 import { mkdtempSync, rmSync } from 'node:fs';
 import { tmpdir } from 'node:os';
 import { join } from 'node:path';
-import { after, test } from 'node:test';
+import { test } from 'node:test';
 
 import { misfits, violations } from './checks.mjs';
 import {
   assertClean,
   browser,
-  endAll,
   gateway,
   homed,
   named,
@@ -23,7 +22,6 @@ import {
   visit,
 } from './harness.mjs';
 
-after(endAll);
 const launched = await browser();
 
 /** WCAG requires 320 px: 1280 px at 400 %. */
@@ -98,7 +96,6 @@ for (const [size, shape] of Object.entries(SIZES)) {
       assert.deepEqual(await violations(page), [], 'stopped');
       assert.deepEqual(await misfits(page), [], 'stopped');
       assertClean(visitor);
-      await visitor.close();
     });
   }
 }
@@ -157,7 +154,6 @@ for (const [language, colorScheme] of [
     for (const { child } of [served, device]) child.kill('SIGCONT');
     await page.waitForFunction(() => !document.querySelector('.cover'));
     assertClean(visitor);
-    await visitor.close();
   });
 }
 
@@ -203,7 +199,6 @@ test('axe finds nothing with forced colours', async () => {
   await page.waitForSelector('#acknowledge:enabled');
   assert.deepEqual(await violations(page), [], 'stopped');
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('a change of language translates every word', async () => {
@@ -227,7 +222,6 @@ test('a change of language translates every word', async () => {
   await page.reload();
   await page.waitForSelector(`#take-control:has-text("${de['control.take']}")`);
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('everything works by keyboard', async () => {
@@ -257,5 +251,4 @@ test('everything works by keyboard', async () => {
   await press('#acknowledge');
   await page.waitForSelector('#grip:enabled');
   assertClean(visitor);
-  await visitor.close();
 });

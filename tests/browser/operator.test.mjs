@@ -1,12 +1,11 @@
 // Features that an operator relies on: the reach of STOP, results of grips, notices, and the width to open to.
 
 import assert from 'node:assert/strict';
-import { after, test } from 'node:test';
+import { test } from 'node:test';
 
 import { misfits, violations } from './checks.mjs';
-import { assertClean, browser, controlled, endAll, gateway, homed, named, shoot, until, visit } from './harness.mjs';
+import { assertClean, browser, controlled, gateway, homed, named, shoot, until, visit } from './harness.mjs';
 
-after(endAll);
 const launched = await browser();
 
 const text = (page, selector) => page.locator(selector).first().innerText();
@@ -35,7 +34,6 @@ test('STOP shows its reach, and the fleet has its own STOP', async () => {
   await shoot(page, 'fleet-stopped');
   assert.deepEqual([...(await violations(page)), ...(await misfits(page))], []);
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('Release opens to a width of its own, which the browser remembers', async () => {
@@ -62,7 +60,6 @@ test('Release opens to a width of its own, which the browser remembers', async (
   await page.waitForSelector('#open');
   assert.equal(await page.inputValue('#open'), '55');
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('a grip’s result is large beside the jaws', async () => {
@@ -85,7 +82,6 @@ test('a grip’s result is large beside the jaws', async () => {
   await page.waitForSelector('#grip:enabled');
   await shoot(page, 'result');
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('a failed grip has no tick, and says where the fingers stopped', async () => {
@@ -111,7 +107,6 @@ test('a failed grip has no tick, and says where the fingers stopped', async () =
   // The fingers still move a little after the command has ended.
   assert.ok(Math.abs(Number(shown) - width_mm) < 1, `${shown} is not ${width_mm}`);
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('an error that lasts until the next motion is explained', async () => {
@@ -127,7 +122,6 @@ test('an error that lasts until the next motion is explained', async () => {
   await page.waitForSelector('.last[data-outcome=SUCCESS]');
   await page.waitForFunction(() => !document.querySelector('.result'));
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('notices are shown in every view', async () => {
@@ -162,7 +156,6 @@ test('notices are shown in every view', async () => {
   await ben.page.click('[data-notice=problem] button');
   await ben.page.waitForFunction(() => !document.querySelector('.notice'));
   [anna, ben].forEach(assertClean);
-  await Promise.all([anna.close(), ben.close()]);
 });
 
 test('a tap just after a notice has moved the page does not move the fingers', async () => {
@@ -201,7 +194,6 @@ test('a tap just after a notice has moved the page does not move the fingers', a
   const { events } = await served.ask('GET', 'events?kind=command');
   assert.equal(events.filter(({ command, phase }) => command === 'grip' && phase === 'admitted').length, 1);
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('a reserved gripper is never shown as free, and its lost holder is an alarm', async () => {
@@ -228,5 +220,4 @@ test('a reserved gripper is never shown as free, and its lost holder is an alarm
   await page.click('[data-view=operate]');
   await page.waitForSelector('.alarm:has-text("cleared")');
   assertClean(ben);
-  await ben.close();
 });

@@ -1,11 +1,10 @@
 // Recipes: shared by browsers, changed in a form, and gripped with one tap.
 
 import assert from 'node:assert/strict';
-import { after, test } from 'node:test';
+import { test } from 'node:test';
 
-import { assertClean, browser, endAll, gateway, homed, shoot, until, visit } from './harness.mjs';
+import { assertClean, browser, gateway, homed, shoot, until, visit } from './harness.mjs';
 
-after(endAll);
 const launched = await browser();
 
 /** Fills the fields of the open form, by the ends of their ids. */
@@ -55,7 +54,6 @@ test('a recipe of one browser is a single tap in another', async () => {
   await anna.page.click('#of-all');
   await anna.page.waitForSelector('td:has-text("Recipe 12 (A-1047) removed")');
   [anna, ben].forEach(assertClean);
-  await Promise.all([anna.close(), ben.close()]);
 });
 
 test('limits are proposed from grips, and a change in between is not overwritten', async () => {
@@ -90,5 +88,4 @@ test('limits are proposed from grips, and a change in between is not overwritten
   await page.click('.recipe[data-recipe="3"] [data-act="recipe.edit"]');
   assert.equal(await page.inputValue('#recipe-accept_max_mm'), '26');
   assertClean(visitor);
-  await visitor.close();
 });

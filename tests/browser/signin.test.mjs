@@ -4,11 +4,10 @@ import assert from 'node:assert/strict';
 import { mkdtempSync, rmSync } from 'node:fs';
 import { tmpdir } from 'node:os';
 import { join } from 'node:path';
-import { after, test } from 'node:test';
+import { test } from 'node:test';
 
-import { browser, endAll, gateway, started, token, visit } from './harness.mjs';
+import { browser, gateway, started, token, visit } from './harness.mjs';
 
-after(endAll);
 const launched = await browser();
 
 async function guarded() {
@@ -28,7 +27,7 @@ async function signIn(page, secret) {
 
 test('a stranger can only stop and sign in, and an operator operates', async () => {
   const { served, operator } = await guarded();
-  const { page, close } = await visit(launched, served, {});
+  const { page } = await visit(launched, served, {});
   await signIn(page, 'wsg_wrong');
   await page.waitForSelector('.sign-in [role=alert]');
   assert.equal(await page.locator('.jaws').count(), 0);
@@ -43,24 +42,22 @@ test('a stranger can only stop and sign in, and an operator operates', async () 
   assert.equal(holder, 'anna-operator');
   await page.click('button:has-text("Sign out")');
   await page.waitForSelector('.sign-in');
-  await close();
 });
 
 test('an observer sees the gripper and no way to move it', async () => {
   const { served, observer } = await guarded();
-  const { page, close } = await visit(launched, served, {});
+  const { page } = await visit(launched, served, {});
   await signIn(page, observer);
   await page.waitForSelector('.jaws');
   // The flags come after the controls.
   await page.waitForSelector('.flags');
   assert.equal(await page.locator('#take-control, #home, #grip').count(), 0);
-  await close();
 });
 
 test("a PIN adds a person's rights to a panel until it is locked", async () => {
   const { served, observer, file } = await guarded();
   const pin = token(file, 'berta', 'operator', '--pin');
-  const { page, close } = await visit(launched, served, {});
+  const { page } = await visit(launched, served, {});
   await signIn(page, observer);
   await page.click('#enter-pin');
   const enter = async (digits) => {
@@ -75,5 +72,4 @@ test("a PIN adds a person's rights to a panel until it is locked", async () => {
   await page.click('#lock');
   await page.waitForSelector('#enter-pin');
   assert.equal(await page.locator('#take-control').count(), 0);
-  await close();
 });

@@ -1,11 +1,10 @@
 // STOP: from every view, over every connection, and its displayed result.
 
 import assert from 'node:assert/strict';
-import { after, test } from 'node:test';
+import { test } from 'node:test';
 
-import { assertClean, browser, endAll, gateway, named, slowReads, until, visit } from './harness.mjs';
+import { assertClean, browser, gateway, named, slowReads, until, visit } from './harness.mjs';
 
-after(endAll);
 const launched = await browser();
 
 test('STOP works by key from any view and from a field, and without the WebSocket', async () => {
@@ -57,7 +56,6 @@ test('STOP works by key from any view and from a field, and without the WebSocke
   await stopsBy('STOP on a WebSocket that swallows it', () => silent.page.click('#stop'));
   assertClean(visitor);
   assertClean(silent);
-  await Promise.all([visitor, without, silent].map((one) => one.close()));
 });
 
 test('STOP acts on touch, also with a second finger and a sliding one', async () => {
@@ -102,12 +100,11 @@ test('STOP does not wait for pending reads', async () => {
   await page.waitForSelector('.stopped:has-text("confirmed")');
   assert.equal((await served.ask('GET', 'grippers/left/state')).fast_stop, true);
   assert.ok(slow.held() >= 6, 'no read was answered meanwhile');
-  await visitor.close();
 });
 
 test('a read cancelled by STOP is repeated', async () => {
   const served = await gateway();
-  const { page, close } = await visit(launched, served);
+  const { page } = await visit(launched, served);
   let reads = 0;
   await page.route('**/api/v1/events?*', (route) => {
     reads += 1;
@@ -126,7 +123,6 @@ test('a read cancelled by STOP is repeated', async () => {
   })()`);
   assert.ok(result.id);
   assert.deepEqual([result.read, reads], [1, 2]);
-  await close();
 });
 
 test('the result of the newest STOP is shown', async () => {
@@ -155,5 +151,4 @@ test('the result of the newest STOP is shown', async () => {
       }),
   );
   assert.equal(await page.locator('.stopped:has-text("did not get through")').count(), 0);
-  await visitor.close();
 });

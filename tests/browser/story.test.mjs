@@ -1,11 +1,10 @@
 // A person's tasks on the page, in a real browser with the real gateway.
 
 import assert from 'node:assert/strict';
-import { after, test } from 'node:test';
+import { test } from 'node:test';
 
-import { assertClean, browser, endAll, gateway, homed, shoot, until, visit } from './harness.mjs';
+import { assertClean, browser, gateway, homed, shoot, until, visit } from './harness.mjs';
 
-after(endAll);
 const launched = await browser();
 
 const text = (page, selector) => page.locator(selector).first().innerText();
@@ -70,7 +69,6 @@ test('home, grip, hold, stop, see the cause, acknowledge', async () => {
   assert.equal(file.suggestedFilename(), 'left-grips.csv');
   assert.match(await (await import('node:fs/promises')).readFile(await file.path(), 'utf8'), /lot-7/);
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('an out-of-range value is not sent, and its field shows the limit', async () => {
@@ -103,7 +101,6 @@ test('an out-of-range value is not sent, and its field shows the limit', async (
   await page.waitForSelector('#width-hint:has-text("10 – 60 mm")');
   assert.ok((await page.locator('.jaws .forbidden rect').count()) >= 2);
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('a jog moves only while it is held', async () => {
@@ -148,7 +145,6 @@ test('a jog moves only while it is held', async () => {
     if (how.includes('view')) await page.click('[data-view=operate]');
   }
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('earlier taps do not end a held jog', async () => {
@@ -203,7 +199,6 @@ test('a page that hangs during a jog stops the fingers', async () => {
   await page.mouse.up();
   await page.waitForSelector('.latch:has-text("was lost while the fingers moved")');
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('presets are kept in the browser', async () => {
@@ -219,7 +214,6 @@ test('presets are kept in the browser', async () => {
   await page.click('[aria-label="Remove small"]');
   assert.equal(await page.locator('.preset').count(), 0);
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('frames and bytes are decoded, and the editor sends a command', async () => {
@@ -256,5 +250,4 @@ test('frames and bytes are decoded, and the editor sends a command', async () =>
   await page.waitForSelector('.problem:has-text("07h")');
   await shoot(page, 'log');
   assertClean(visitor);
-  await visitor.close();
 });

@@ -1,23 +1,10 @@
 // Several users, and a gateway that goes away.
 
 import assert from 'node:assert/strict';
-import { after, test } from 'node:test';
+import { test } from 'node:test';
 
-import {
-  assertClean,
-  browser,
-  controlled,
-  endAll,
-  gateway,
-  homed,
-  named,
-  shoot,
-  simulator,
-  until,
-  visit,
-} from './harness.mjs';
+import { assertClean, browser, controlled, gateway, homed, named, shoot, simulator, until, visit } from './harness.mjs';
 
-after(endAll);
 const launched = await browser();
 
 test('control is requested, handed over and taken back by force', async () => {
@@ -55,7 +42,6 @@ test('control is requested, handed over and taken back by force', async () => {
   await anna.page.click('#give-back');
   await ben.page.waitForSelector('#take-control');
   [anna, ben].forEach(assertClean);
-  await Promise.all([anna.close(), ben.close()]);
 });
 
 test('people are asked for their names, which others see', async () => {
@@ -81,7 +67,6 @@ test('people are asked for their names, which others see', async () => {
   await anna.page.waitForSelector('.take');
   assert.equal(await anna.page.locator('#your-name').count(), 0);
   [anna, ben].forEach(assertClean);
-  await Promise.all([anna.close(), ben.close()]);
 });
 
 test('each request carries the user’s name, for all to see', async () => {
@@ -111,7 +96,6 @@ test('each request carries the user’s name, for all to see', async () => {
   const { events } = await served.ask('GET', 'events?kind=settings');
   assert.deepEqual([events[0].subject, events[0].label], ['ws:127.0.0.1', 'Anna Müller']);
   [anna, ben].forEach(assertClean);
-  await Promise.all([anna.close(), ben.close()]);
 });
 
 test('a browser lost during a motion leaves a FAST STOP with that cause', async () => {
@@ -126,7 +110,6 @@ test('a browser lost during a motion leaves a FAST STOP with that cause', async 
   await stays.page.waitForSelector('.latch:has-text("The client in control was lost")');
   assert.equal((await served.ask('GET', 'grippers/left/state')).fast_stop_cause, 'client_lost');
   assertClean(stays);
-  await stays.close();
 });
 
 /** Time limit after the gateway's end, beyond which no old value may look live. */
@@ -167,7 +150,6 @@ test('the page shows a lost gateway within 2 s, and recovers', async () => {
   await page.click('#take-control');
   await page.waitForSelector('.status.tone-mine');
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('a frozen gateway is noticed as soon as a lost one', async () => {
@@ -188,7 +170,6 @@ test('a frozen gateway is noticed as soon as a lost one', async () => {
   }
   await page.waitForFunction(() => !document.querySelector('.cover'));
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('an absent gripper is covered, with an alarm until acknowledged', async () => {
@@ -208,7 +189,6 @@ test('an absent gripper is covered, with an alarm until acknowledged', async () 
   await page.waitForSelector('#take-control');
   assert.equal(await page.locator('.jaws-panel .cover').count(), 0);
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('a gripper with a lost link is covered, and recovers', async () => {
@@ -228,7 +208,6 @@ test('a gripper with a lost link is covered, and recovers', async () => {
   await page.waitForFunction(() => !document.querySelector('.cover'));
   await page.waitForSelector('.alarm:has-text("cleared")');
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('a fleet of two gateways shows which one is gone', async () => {
@@ -256,5 +235,4 @@ test('a fleet of two gateways shows which one is gone', async () => {
   await row('cell-2\\s+right\\s+gateway offline');
   await row('cell-1\\s+left\\s+connected');
   assertClean(visitor);
-  await visitor.close();
 });

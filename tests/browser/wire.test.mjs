@@ -2,11 +2,10 @@
 
 import assert from 'node:assert/strict';
 import { readFile } from 'node:fs/promises';
-import { after, test } from 'node:test';
+import { test } from 'node:test';
 
-import { assertClean, browser, endAll, gateway, shoot, simulator, until, visit } from './harness.mjs';
+import { assertClean, browser, gateway, shoot, simulator, until, visit } from './harness.mjs';
 
-after(endAll);
 const launched = await browser();
 
 const text = (page, selector) => page.locator(selector).first().innerText();
@@ -31,7 +30,6 @@ test('the log goes on while another view is shown, in local time', async () => {
   const apart = Number(hours) * 60 + Number(minutes) - (local.getUTCHours() * 60 + local.getUTCMinutes());
   assert.ok([0, 1, -1439].includes(apart), shown);
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('automatic updates are not sent while another view hides the log', async () => {
@@ -56,7 +54,6 @@ test('automatic updates are not sent while another view hides the log', async ()
   await page.waitForSelector('[data-row=away] ~ .frame:has-text("Loop")');
   await page.waitForSelector('[data-row=away] ~ [data-row=updates]');
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('frames are filtered, copied and saved, and a pause is marked', async () => {
@@ -98,7 +95,6 @@ test('frames are filtered, copied and saved, and a pause is marked', async () =>
   await page.waitForSelector('[data-row=paused] ~ .frame:has-text("GetStatistics")');
   await shoot(page, 'log-paused');
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('damaged frames and skipped bytes are shown as such', async () => {
@@ -114,7 +110,6 @@ test('damaged frames and skipped bytes are shown as such', async () => {
   await page.click('.frame[data-damage=checksum]');
   await page.waitForSelector('.byte');
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('the editor has forms, and shows the frame as sent and its decoded reply', async () => {
@@ -139,7 +134,6 @@ test('the editor has forms, and shows the frame as sent and its decoded reply', 
   await page.waitForSelector('#editor-decoded:has-text("150")');
   await shoot(page, 'editor');
   assertClean(visitor);
-  await visitor.close();
 });
 
 test('bytes are sent exactly as typed, and the device judges them', async () => {
@@ -169,5 +163,4 @@ test('bytes are sent exactly as typed, and the device judges them', async () => 
   await send('25h Grip', '1');
   await page.waitForSelector('.problem:has-text("25h cannot be sent with")');
   assertClean(visitor);
-  await visitor.close();
 });
