@@ -31,16 +31,18 @@ pub struct Connectivity {
 }
 
 impl Connectivity {
-    /// Returns the configuration with a single attempt for each endpoint to listen on.
-    pub fn without_retries(&self) -> zenoh::Result<zenoh::Config> {
+    /// Returns the configuration with which a session opens only if it can listen on all endpoints; `None` if there are
+    /// no endpoints, or if one of them has an `exit_on_failure` of its own.
+    #[must_use]
+    pub fn without_retries(&self) -> Option<zenoh::Config> {
+        let decides_itself = |endpoint: &String| endpoint.contains("exit_on_failure");
+        if self.listen.is_empty() || self.listen.iter().any(decides_itself) {
+            return None;
+        }
         let mut config = self.config.clone();
-        config.insert_json5("listen/timeout_ms", "0")?;
-        Ok(config)
-    }
-
-    /// Whether the session listens on all endpoints.
-    pub async fn listens(&self, session: &zenoh::Session) -> bool {
-        missing(&self.listen, &locators(session).await).is_empty()
+        config.insert_json5("listen/timeout_ms", "0").ok()?;
+        config.insert_json5("listen/exit_on_failure", "true").ok()?;
+        Some(config)
     }
 
     /// Watches the endpoints while it is polled. Calls `opened` with new locators, and reports missing listeners and
@@ -48,7 +50,7 @@ impl Connectivity {
     pub async fn watch(&self, session: &zenoh::Session, network: &Peers, mut opened: impl FnMut(&[String])) {
         let (mut known, mut looks_after, mut was_connected) = (Vec::new(), LOOKS_AFTER, false);
         loop {
-            let mut locators = locators(session).await;
+            let mut locators: Vec<_> = session.info().locators().await.iter().map(ToString::to_string).collect();
             let missing = missing(&self.listen, &locators);
             locators.retain(|locator| !known.contains(locator));
             opened(&locators);
@@ -110,10 +112,6 @@ pub fn say(network: &Peers, cause: Option<String>) {
         }
         network.set_cause(cause);
     }
-}
-
-async fn locators(session: &zenoh::Session) -> Vec<String> {
-    session.info().locators().await.iter().map(ToString::to_string).collect()
 }
 
 /// Returns the endpoints that nothing listens on.
