@@ -41,8 +41,17 @@ export async function textsOf(language) {
 /** Clean-up functions, run in reverse order. */
 export const started = [];
 
+/** Runs all clean-up functions, even if some fail. */
 export async function endAll() {
-  while (started.length > 0) await started.pop()();
+  const errors = [];
+  while (started.length > 0) {
+    try {
+      await started.pop()();
+    } catch (error) {
+      errors.push(error);
+    }
+  }
+  if (errors.length > 0) throw new AggregateError(errors);
 }
 
 export async function until(what, look) {
@@ -82,6 +91,8 @@ async function run(flags, looksFor) {
   });
   const kill = async (signal = 'SIGKILL') => {
     child.kill(signal);
+    // A test that failed can leave it stopped.
+    child.kill('SIGCONT');
     await ended;
   };
   started.push(() => kill('SIGTERM'));

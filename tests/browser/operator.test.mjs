@@ -55,7 +55,7 @@ test('Release opens to a width of its own, which the browser remembers', async (
   await page.waitForSelector('#open-hint:has-text("empty: 110 mm")');
   await page.fill('#open', '55');
   await page.fill('#width', '40');
-  assert.match(await text(page, '.why'), /Grip and Move go to 40 mm, Release opens to 55 mm/);
+  await page.waitForSelector('.why:has-text("Grip and Move go to 40 mm, Release opens to 55 mm")');
   await page.reload();
   await page.waitForSelector('#open');
   assert.equal(await page.inputValue('#open'), '55');
