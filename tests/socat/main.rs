@@ -16,11 +16,7 @@ use tokio::io::{AsyncBufReadExt, BufReader};
 use tokio::process::ChildStderr;
 
 use harness::child::{Child, Signal};
-use harness::{Gateway, Process, Proxy, Simulator, eventually};
-
-fn path(name: &str) -> PathBuf {
-    PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("{}-{name}", std::process::id()))
-}
+use harness::{Directory, Gateway, Process, Proxy, Simulator, eventually};
 
 /// Plugs in an adapter between this pty and that port.
 async fn plug_in(pty: &Path, port: &Path) -> Child {
@@ -33,7 +29,8 @@ async fn plug_in(pty: &Path, port: &Path) -> Child {
 
 #[tokio::test]
 async fn pulled_adapter_is_named_and_reconnected() {
-    let (line, port) = (path("line"), path("port"));
+    let files = Directory::new();
+    let [line, port] = ["line", "port"].map(|name| PathBuf::from(files.file(name)));
     let device = Process::start(&["sim", &format!("serial://pty?link={}", line.display())]);
     device.word_after("a simulated wsg50 at ").await;
     let mut adapter = plug_in(&port, &line).await;

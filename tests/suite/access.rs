@@ -14,7 +14,7 @@ use wsg_gateway::gripper::model::Urgency;
 use wsg_gateway::operations::{OPERATIONS, Operation};
 
 use crate::harness::wsg::Driver;
-use crate::harness::{DEADLINE, Gateway, Socket, ZenohClient, run, socket_request};
+use crate::harness::{DEADLINE, Directory, Gateway, Socket, ZenohClient, socket_request};
 
 /// Arguments of `token create` for each kind of client, and its rights to the gripper `g`.
 const CLIENTS: &[(&str, &[Right])] = &[
@@ -179,9 +179,7 @@ async fn revoked_token_is_refused_at_once() {
     request.headers_mut().insert("Authorization", header);
     let mut socket = Socket::with(request).await.unwrap();
     socket.call("state", json!({"gripper": "g"})).await;
-    let tokens = gateway.tokens.as_deref().unwrap();
-    let revoked = run(&["token", "--tokens", tokens, "revoke", "robot"]).await;
-    assert!(revoked.status.success(), "{revoked:?}");
+    gateway.revoke("robot").await;
     let error = socket.refused("state", json!({"gripper": "g"})).await;
     assert_eq!(error["data"]["code"], "unauthorized", "{error}");
     while socket.next().await.is_some() {}
@@ -193,19 +191,16 @@ async fn stream_ends_with_the_right_to_read() {
     let stream = reqwest::Client::new().get(gateway.url("/api/v1/stream?topics=state")).bearer_auth(&secrets[1]);
     let mut stream = stream.send().await.unwrap();
     assert!(stream.chunk().await.unwrap().is_some());
-    let tokens = gateway.tokens.as_deref().unwrap();
-    assert!(run(&["token", "--tokens", tokens, "revoke", "robot"]).await.status.success());
+    gateway.revoke("robot").await;
     let ended = async { while let Ok(Some(_)) = stream.chunk().await {} };
     tokio::time::timeout(DEADLINE, ended).await.unwrap();
 }
 
 #[tokio::test]
 async fn session_does_not_work_from_pages_of_other_origins() {
-    let path = std::env::temp_dir().join(format!("wsg-{}.toml", uuid::Uuid::now_v7()));
-    std::fs::write(&path, "cors_origins = [\"https://hmi.example\"]\n").unwrap();
-    let arguments = ["--config", path.to_str().unwrap()];
-    let (gateway, secrets) = Gateway::guarded(&["--name robot --role operator"], &arguments).await;
-    std::fs::remove_file(path).unwrap();
+    let files = Directory::new();
+    let file = files.write("gateway.toml", "cors_origins = [\"https://hmi.example\"]\n");
+    let (gateway, secrets) = Gateway::guarded(&["--name robot --role operator"], &["--config", &file]).await;
     let browser = reqwest::Client::new();
     let signed_in = browser.post(gateway.url("/api/v1/session")).json(&json!({"token": secrets[0]}));
     let cookie = signed_in.send().await.unwrap().headers()["set-cookie"].to_str().unwrap().to_owned();
@@ -236,15 +231,12 @@ async fn browser_signs_in_and_out() {
 
 #[tokio::test]
 async fn fast_stop_needs_a_credential_if_configured() {
-    let policy = "[access]\nfast_stop = \"credential\"\n";
-    let path = std::env::temp_dir().join(format!("wsg-{}.toml", uuid::Uuid::now_v7()));
-    std::fs::write(&path, policy).unwrap();
-    let (gateway, secrets) =
-        Gateway::guarded(&["--name curtain --role stop"], &["--config", path.to_str().unwrap()]).await;
+    let files = Directory::new();
+    let file = files.write("gateway.toml", "[access]\nfast_stop = \"credential\"\n");
+    let (gateway, secrets) = Gateway::guarded(&["--name curtain --role stop"], &["--config", &file]).await;
     let stop = || reqwest::Client::new().post(gateway.url("/api/v1/fast-stop"));
     gateway.send(stop()).await.problem(401, "unauthorized");
     gateway.send(stop().bearer_auth(&secrets[0])).await.ok();
-    std::fs::remove_file(path).unwrap();
 }
 
 /// A gateway with a WSG port for `g`, and its address. Clients on loopback are known as `plc`, with this role.

@@ -1,17 +1,9 @@
 //! The command line: startup, errors and output.
 
 use std::net::TcpListener;
-use std::path::PathBuf;
 use std::process::Command;
 
-use crate::harness::{Gateway, Simulator, run};
-
-/// Writes a file for one test.
-fn file(name: &str, text: &str) -> PathBuf {
-    let path = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("{}-{name}", std::process::id()));
-    std::fs::write(&path, text).unwrap();
-    path
-}
+use crate::harness::{Directory, Gateway, Simulator, run};
 
 /// Runs a command line that must fail, and returns its standard error.
 async fn refused(arguments: &[&str]) -> String {
@@ -89,8 +81,9 @@ async fn occupied_port_is_a_clear_error_and_sends_no_frame() {
 
 #[tokio::test]
 async fn check_prints_a_summary_or_the_wrong_line() {
-    let right = file("right.toml", "name = \"cell\"\n[grippers.a]\nurl = \"sim://wsg50\"\n");
-    let ended = run(&["check", "--config", right.to_str().unwrap()]).await;
+    let files = Directory::new();
+    let right = files.write("right.toml", "name = \"cell\"\n[grippers.a]\nurl = \"sim://wsg50\"\n");
+    let ended = run(&["check", "--config", &right]).await;
     assert!(ended.status.success(), "{ended:?}");
     assert!(ended.stdout.contains("cell serves 1 gripper at 127.0.0.1:8080"), "{ended:?}");
     for (text, line) in [
@@ -101,8 +94,8 @@ async fn check_prints_a_summary_or_the_wrong_line() {
         ("name = \n", 1),
         ("journal_max_age_days = 0\n", 1),
     ] {
-        let wrong = file("wrong.toml", text);
-        let said = refused(&["check", "--config", wrong.to_str().unwrap()]).await;
+        let wrong = files.write("wrong.toml", text);
+        let said = refused(&["check", "--config", &wrong]).await;
         assert!(said.contains(&format!("wrong.toml:{line}:")), "{text:?}: {said}");
     }
 }
@@ -113,7 +106,8 @@ async fn configuration_guide_has_a_valid_file() {
     let guide = std::fs::read_to_string(guide).unwrap();
     let (_, example) = guide.split_once("```toml\n").expect("an example in TOML");
     let (example, _) = example.split_once("```").unwrap();
-    let ended = run(&["check", "--config", file("guide.toml", example).to_str().unwrap()]).await;
+    let files = Directory::new();
+    let ended = run(&["check", "--config", &files.write("guide.toml", example)]).await;
     assert!(ended.status.success(), "{ended:?}");
 }
 
@@ -131,13 +125,15 @@ async fn frames_are_decoded_and_encoded() {
     assert!(encoded.status.success(), "{encoded:?}");
     let hex = encoded.stdout.replace(char::is_whitespace, "").to_ascii_uppercase();
     assert!(hex.starts_with("AAAAAA230000"), "{encoded:?}");
-    let decoded = run(&["decode", file("frames.hex", &hex).to_str().unwrap()]).await;
+    let files = Directory::new();
+    let decoded = run(&["decode", &files.write("frames.hex", &hex)]).await;
     assert!(decoded.stdout.contains("FastStop"), "{decoded:?}");
 }
 
 #[tokio::test]
 async fn decode_continues_after_a_wrong_line_and_exits_with_1() {
-    let ended = run(&["decode", file("wrong.hex", "nonsense\nAAAAAA230000AC1C\n").to_str().unwrap()]).await;
+    let files = Directory::new();
+    let ended = run(&["decode", &files.write("wrong.hex", "nonsense\nAAAAAA230000AC1C\n")]).await;
     assert_eq!(ended.status.code(), Some(1), "{ended:?}");
     assert!(ended.stdout.contains("line 1 not decoded") && ended.stdout.contains("FastStop"), "{ended:?}");
     assert!(ended.stderr.contains("could not be decoded: 1"), "{ended:?}");
@@ -145,9 +141,10 @@ async fn decode_continues_after_a_wrong_line_and_exits_with_1() {
 
 #[test]
 fn closed_output_pipe_is_not_an_error() {
-    let frames = file("enough.hex", &"AAAAAA230000AC1C\n".repeat(10_000));
+    let files = Directory::new();
+    let frames = files.write("enough.hex", &"AAAAAA230000AC1C\n".repeat(10_000));
     for arguments in [
-        &["decode", frames.to_str().unwrap()][..],
+        &["decode", &frames][..],
         &["decode", "--encode", "FastStop"],
         &["check", "--gripper", "g=sim://wsg50"],
         &["openapi"],
@@ -163,16 +160,15 @@ fn closed_output_pipe_is_not_an_error() {
 
 #[tokio::test]
 async fn package_files_describe_every_subcommand() {
-    let directory = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("{}-package", std::process::id()));
-    assert!(run(&["package-files", directory.to_str().unwrap()]).await.status.success());
-    let read = |path: &str| std::fs::read_to_string(directory.join(path)).unwrap();
+    let files = Directory::new();
+    assert!(run(&["package-files", files.path()]).await.status.success());
+    let read = |path: &str| std::fs::read_to_string(files.file(path)).unwrap();
     for page in ["wsg-gateway", "wsg-gateway-doctor", "wsg-gateway-journal-backup"] {
         assert!(read(&format!("man/{page}.1")).contains(".SH OPTIONS"), "{page}");
     }
     for shell in ["wsg-gateway.bash", "wsg-gateway.fish", "_wsg-gateway"] {
         assert!(read(&format!("completions/{shell}")).contains("discover"), "{shell}");
     }
-    std::fs::remove_dir_all(directory).unwrap();
 }
 
 #[tokio::test]

@@ -244,10 +244,8 @@ async fn custom_id_passes_through_unchanged() {
 async fn custom_id_counts_as_a_motion_unless_configured_as_a_read() {
     // B0h starts and never ends.
     let device = Scripted::start(Table::from([(0xB0, vec![vec![0x1A, 0]]), (0xB2, vec![success(&[7])])])).await;
-    let path = std::env::temp_dir().join(format!("wsg-{}-read-ids.toml", std::process::id()));
-    std::fs::write(&path, format!("[grippers.g]\nurl = \"tcp://{}\"\nread_ids = [0xB2]\n", device.address)).unwrap();
-    let gateway = Gateway::start(&["--config", path.to_str().unwrap()]).await;
-    std::fs::remove_file(path).unwrap();
+    let toml = format!("[grippers.g]\nurl = \"tcp://{}\"\nread_ids = [0xB2]\n", device.address);
+    let gateway = Gateway::with_file(&[], &toml).await;
     gateway.until_link("connected").await;
     let script = json!({"id": 0xB0, "payload": "ff00", "request_id": "job-1"});
     let running = gateway.post("raw?wait_ms=0", &script).await;

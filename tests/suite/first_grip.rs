@@ -76,11 +76,9 @@ async fn every_model_reports_its_properties() {
 #[tokio::test]
 async fn gripper_without_fast_stop_on_disconnect_does_not_stop_by_itself() {
     let device = Simulator::start(&[]).await;
-    let path = std::env::temp_dir().join(format!("wsg-{}-disconnect.toml", std::process::id()));
     let url = format!("tcp://{}", device.address);
-    std::fs::write(&path, format!("[grippers.g]\nurl = \"{url}\"\nfast_stop_on_disconnect = false\n")).unwrap();
-    let gateway = Gateway::start(&["--config", path.to_str().unwrap()]).await;
-    std::fs::remove_file(path).unwrap();
+    let gateway =
+        Gateway::with_file(&[], &format!("[grippers.g]\nurl = \"{url}\"\nfast_stop_on_disconnect = false\n")).await;
     gateway.until_link("connected").await;
     assert_eq!(gateway.get("").await.ok()["stops_on_gateway_loss"], false);
 }

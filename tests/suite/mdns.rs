@@ -6,7 +6,7 @@ use mdns_sd::{Receiver, ResolvedService, ServiceDaemon, ServiceEvent};
 use serde_json::json;
 use tokio::time::timeout;
 
-use crate::harness::Gateway;
+use crate::harness::{Directory, Gateway};
 
 const SERVICE: &str = "_wsg-gateway._tcp.local.";
 
@@ -42,11 +42,11 @@ async fn removed(events: &Receiver<ServiceEvent>, name: &str) {
 async fn gateway_is_announced_until_it_ends() {
     let name = format!("cell-{}", &uuid::Uuid::now_v7().simple().to_string()[20..]);
     let toml = |mdns: bool| format!("name = \"{name}\"\nmdns = {mdns}\n");
-    let file = std::env::temp_dir().join(format!("wsg-{name}.toml"));
-    std::fs::write(&file, toml(true)).unwrap();
+    let files = Directory::new();
+    let file = files.write("gateway.toml", &toml(true));
     let browser = ServiceDaemon::new().unwrap();
     let events = browser.browse(SERVICE).unwrap();
-    let gateway = Gateway::start(&["--config", file.to_str().unwrap()]).await;
+    let gateway = Gateway::start(&["--config", &file]).await;
     let port = url::Url::parse(&gateway.url("/")).unwrap().port().unwrap();
     let service = resolved(&events, &name).await;
     assert_eq!(service.get_port(), port);
@@ -62,7 +62,6 @@ async fn gateway_is_announced_until_it_ends() {
     removed(&events, &name).await;
     reload(true).await;
     assert_eq!(resolved(&events, &name).await.get_port(), port);
-    std::fs::remove_file(&file).unwrap();
     assert!(gateway.terminate().await.status.success());
     removed(&events, &name).await;
 }

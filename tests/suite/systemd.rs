@@ -2,29 +2,32 @@
 
 use std::fs::File;
 use std::os::linux::fs::MetadataExt as _;
-use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
 use tokio::net::UnixDatagram;
+use tokio::time::timeout;
 
 use crate::harness::child::{Child, Signal};
-use crate::harness::eventually;
+use crate::harness::{DEADLINE, Directory};
 
 /// Receives the next message of this name.
 async fn until(socket: &UnixDatagram, name: &str) {
-    let received = async || {
+    let received = async {
         let mut buffer = [0; 256];
-        let length = socket.recv(&mut buffer).await.ok()?;
-        String::from_utf8_lossy(&buffer[..length]).lines().any(|line| line == name).then_some(())
+        loop {
+            let length = socket.recv(&mut buffer).await.unwrap();
+            if String::from_utf8_lossy(&buffer[..length]).lines().any(|line| line == name) {
+                break;
+            }
+        }
     };
-    eventually(name, received).await;
+    assert!(timeout(DEADLINE, received).await.is_ok(), "no {name} within {DEADLINE:?}");
 }
 
 #[tokio::test]
 async fn service_is_ready_feeds_the_watchdog_and_logs_priorities() {
-    let directory = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("{}-systemd", std::process::id()));
-    std::fs::create_dir_all(&directory).unwrap();
-    let (notify, log) = (directory.join("notify"), directory.join("log"));
+    let files = Directory::new();
+    let (notify, log) = (files.file("notify"), files.file("log"));
     let socket = UnixDatagram::bind(&notify).unwrap();
     let file = File::create(&log).unwrap();
     let metadata = file.metadata().unwrap();
@@ -46,7 +49,6 @@ async fn service_is_ready_feeds_the_watchdog_and_logs_priorities() {
     until(&socket, "STOPPING=1").await;
     let ended = service.ended().await;
     let log = std::fs::read_to_string(&log).unwrap();
-    std::fs::remove_dir_all(&directory).unwrap();
     assert!(ended.success(), "{log}");
     assert!(!log.is_empty() && log.lines().all(|line| line.starts_with("<6>")), "{log}");
 }

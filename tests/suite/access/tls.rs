@@ -1,7 +1,6 @@
 //! HTTPS, from the first start on a network.
 
 use std::net::SocketAddr;
-use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
@@ -16,6 +15,7 @@ use hyper_util::rt::TokioIo;
 use rcgen::{BasicConstraints, CertificateParams, DnType, IsCa, Issuer, KeyPair};
 use serde_json::{Value, json};
 use tokio::net::{TcpSocket, TcpStream};
+use tokio::task::JoinSet;
 use tokio_rustls::TlsConnector;
 use tokio_rustls::client::TlsStream;
 use tokio_rustls::rustls::client::Resumption;
@@ -28,23 +28,17 @@ use tokio_tungstenite::tungstenite::Message;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest as _;
 use tokio_util::task::AbortOnDropHandle;
 
-use crate::harness::{Process, eventually, run};
+use crate::harness::{Directory, Process, eventually, run};
 
 /// A client's certificate and key.
 type ClientCertificate = (CertificateDer<'static>, PrivateKeyDer<'static>);
 
 /// A gateway as `init` configures it.
 struct Initialised {
-    directory: PathBuf,
+    directory: Directory,
     address: SocketAddr,
     token: String,
     _process: Process,
-}
-
-impl Drop for Initialised {
-    fn drop(&mut self) {
-        std::fs::remove_dir_all(&self.directory).unwrap();
-    }
 }
 
 async fn initialised() -> Initialised {
@@ -52,15 +46,15 @@ async fn initialised() -> Initialised {
 }
 
 /// A gateway as `init` configures it, whose configuration and directory are changed before it starts.
-async fn initialised_with(change: impl FnOnce(&Path, String) -> String) -> Initialised {
-    let directory = std::env::temp_dir().join(format!("wsg-init-{}", uuid::Uuid::now_v7()));
-    let said = run(&["init", "--listen", "127.0.0.1:0", "--host", "localhost", directory.to_str().unwrap()]).await;
+async fn initialised_with(change: impl FnOnce(&Directory, String) -> String) -> Initialised {
+    let directory = Directory::new();
+    let said = run(&["init", "--listen", "127.0.0.1:0", "--host", "localhost", directory.path()]).await;
     assert!(said.status.success(), "{said:?}");
     let token = said.stdout.lines().last().unwrap().to_owned();
-    let config = directory.join("wsg-gateway.toml");
+    let config = directory.file("wsg-gateway.toml");
     let changed = change(&directory, std::fs::read_to_string(&config).unwrap());
     std::fs::write(&config, changed).unwrap();
-    let process = Process::start(&["--config", config.to_str().unwrap(), "--zenoh-listen", "tcp/127.0.0.1:0"]);
+    let process = Process::start(&["--config", &config, "--zenoh-listen", "tcp/127.0.0.1:0"]);
     let address = process.word_after(" at https://").await.trim_end_matches('/').parse().unwrap();
     Initialised { directory, address, token, _process: process }
 }
@@ -76,9 +70,8 @@ async fn secure_stream_of(
     from: [u8; 4],
     own: Option<&ClientCertificate>,
 ) -> std::io::Result<TlsStream<TcpStream>> {
-    let authority = gateway.directory.join("authority.pem");
-    let trusted = if authority.exists() { authority } else { gateway.directory.join("certificate.pem") };
-    let pem = std::fs::read(trusted).unwrap();
+    let read = |name| std::fs::read(gateway.directory.file(name));
+    let pem = read("authority.pem").or_else(|_| read("certificate.pem")).unwrap();
     let mut roots = RootCertStore::empty();
     roots.add(CertificateDer::from_pem_slice(&pem).unwrap()).unwrap();
     let config = ClientConfig::builder_with_provider(Arc::new(default_provider()));
@@ -186,9 +179,9 @@ async fn replaced_certificate_serves_new_connections() {
     let mut old = HttpsClient::connect(&gateway).await.unwrap();
     assert_eq!(old.status("GET", "/healthz", None).await, 200);
     for name in ["certificate.pem", "key.pem"] {
-        std::fs::remove_file(gateway.directory.join(name)).unwrap();
+        std::fs::remove_file(gateway.directory.file(name)).unwrap();
     }
-    let renewed = run(&["certificate", "--host", "localhost", gateway.directory.to_str().unwrap()]).await;
+    let renewed = run(&["certificate", "--host", "localhost", gateway.directory.path()]).await;
     assert!(renewed.status.success(), "{renewed:?}");
     assert_eq!(old.status("GET", "/healthz", None).await, 200, "the open connection continues");
     let mut new = HttpsClient::connect(&gateway).await.unwrap();
@@ -217,7 +210,7 @@ fn certificate_of(name: &str, authority: &Issuer<'static, KeyPair>) -> ClientCer
 async fn client_is_known_by_its_certificate() {
     let (plant, ca) = authority("plant");
     let gateway = initialised_with(|directory, config| {
-        std::fs::write(directory.join("clients.pem"), ca).unwrap();
+        directory.write("clients.pem", &ca);
         let config = config.replace("key = \"key.pem\"", "key = \"key.pem\"\nclient_ca = \"clients.pem\"");
         format!("{config}\n[[clients]]\nname = \"mes\"\ncertificate = \"mes.example\"\nrole = \"observer\"\n")
     })
@@ -290,25 +283,26 @@ async fn flood_of_handshakes_delays_no_fast_stop() {
 async fn certificate_swapped_under_load_drops_nothing() {
     let (plant, ca) = authority("plant");
     let plant = Arc::new(plant);
-    let swap = |directory: &Path| {
+    let swap = |directory: &Directory| {
         let mut params = CertificateParams::new(["localhost".to_owned()]).unwrap();
         params.distinguished_name.push(DnType::CommonName, "gateway");
         let key = KeyPair::generate().unwrap();
         let certificate = params.signed_by(&key, &*plant).unwrap();
-        std::fs::write(directory.join("certificate.pem"), certificate.pem()).unwrap();
-        std::fs::write(directory.join("key.pem"), key.serialize_pem()).unwrap();
+        directory.write("certificate.pem", &certificate.pem());
+        directory.write("key.pem", &key.serialize_pem());
     };
     let gateway = initialised_with(|directory, config| {
-        std::fs::write(directory.join("authority.pem"), ca).unwrap();
+        directory.write("authority.pem", &ca);
         swap(directory);
         config
     })
     .await;
     let gateway = Arc::new(gateway);
     let served = Arc::new(AtomicU32::new(0));
-    let load = |_| {
+    let mut loads = JoinSet::new();
+    for _ in 0..8 {
         let (gateway, served) = (gateway.clone(), served.clone());
-        AbortOnDropHandle::new(tokio::spawn(async move {
+        loads.spawn(async move {
             loop {
                 let mut client = HttpsClient::connect(&gateway).await.unwrap();
                 for _ in 0..5 {
@@ -316,9 +310,8 @@ async fn certificate_swapped_under_load_drops_nothing() {
                 }
                 served.fetch_add(1, Ordering::Relaxed);
             }
-        }))
-    };
-    let mut loads: Vec<_> = (0..8).map(load).collect();
+        });
+    }
     let mut open = HttpsClient::connect(&gateway).await.unwrap();
     for _ in 0..20 {
         swap(&gateway.directory);
@@ -328,5 +321,6 @@ async fn certificate_swapped_under_load_drops_nothing() {
         assert_eq!(open.status("GET", "/healthz", None).await, 200, "the open connection continues");
     }
     println!("{} connections during 20 swaps", served.load(Ordering::Relaxed));
-    assert!(loads.iter_mut().all(|load| !load.is_finished()), "no request failed");
+    assert!(loads.try_join_next().is_none(), "no request failed");
+    loads.shutdown().await;
 }

@@ -9,11 +9,14 @@ use reqwest::{Method, RequestBuilder, Response};
 use serde_json::{Value, json};
 
 use super::child::Signal;
-use super::eventually;
 use super::process::{Ended, Process};
+use super::{Directory, eventually};
 
 /// Idle time after which a connection is not used again. The gateway closes it after 10 s.
 const POOL_IDLE_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// Name of the file of tokens.
+const TOKENS: &str = "tokens.json";
 
 /// Builder of a client that avoids connections which the gateway may be closing.
 fn client() -> reqwest::ClientBuilder {
@@ -26,8 +29,7 @@ pub struct Gateway {
     process: Process,
     base: String,
     http: reqwest::Client,
-    /// File of tokens, if clients need tokens.
-    pub tokens: Option<String>,
+    files: Directory,
 }
 
 /// An HTTP response.
@@ -112,10 +114,10 @@ impl Gateway {
 
     /// Starts a gateway with these arguments and this configuration file.
     pub async fn with_file(arguments: &[&str], toml: &str) -> Self {
-        let path = std::env::temp_dir().join(format!("wsg-{}.toml", uuid::Uuid::now_v7()));
-        std::fs::write(&path, toml).unwrap();
-        let gateway = Self::start(&[arguments, &["--config", path.to_str().unwrap()]].concat()).await;
-        std::fs::remove_file(path).unwrap();
+        let files = Directory::new();
+        let file = files.write("gateway.toml", toml);
+        let mut gateway = Self::start(&[arguments, &["--config", &file]].concat()).await;
+        gateway.files = files;
         gateway
     }
 
@@ -145,8 +147,8 @@ impl Gateway {
     /// Starts a gateway of two simulated grippers, `g` and `h`, whose clients need tokens. All its requests are sent with
     /// the first of the tokens.
     pub async fn guarded(tokens: &[&str], arguments: &[&str]) -> (Self, Vec<String>) {
-        let path = std::env::temp_dir().join(format!("wsg-tokens-{}.json", uuid::Uuid::now_v7()));
-        let path = path.to_str().unwrap();
+        let files = Directory::new();
+        let path = &files.file(TOKENS);
         let mut secrets = Vec::new();
         for token in tokens {
             let create = ["token", "--tokens", path, "create"].into_iter().chain(token.split(' '));
@@ -161,8 +163,14 @@ impl Gateway {
             headers.insert(AUTHORIZATION, format!("Bearer {first}").parse().unwrap());
         }
         gateway.http = client().default_headers(headers).build().unwrap();
-        gateway.tokens = Some(path.to_owned());
+        gateway.files = files;
         (gateway, secrets)
+    }
+
+    /// Revokes a token of a guarded gateway.
+    pub async fn revoke(&self, name: &str) {
+        let revoked = super::run(&["token", "--tokens", &self.files.file(TOKENS), "revoke", name]).await;
+        assert!(revoked.status.success(), "{revoked:?}");
     }
 
     /// Starts a gateway without a default Zenoh endpoint, which a configuration file sets instead.
@@ -170,7 +178,7 @@ impl Gateway {
         let process = Process::start(&[&["--listen", "127.0.0.1:0"], arguments].concat());
         let base = process.word_after(" at http://").await;
         let base = format!("http://{}", base.trim_end_matches('/'));
-        Self { process, base, http: client().build().unwrap(), tokens: None }
+        Self { process, base, http: client().build().unwrap(), files: Directory::new() }
     }
 
     /// Log so far.

@@ -4,6 +4,7 @@
 
 pub mod child;
 mod command_line;
+mod directory;
 mod frames;
 mod gateway;
 mod journal_file;
@@ -19,6 +20,7 @@ pub mod zenoh;
 use std::time::{Duration, Instant};
 
 pub use command_line::run;
+pub use directory::Directory;
 pub use frames::Frame;
 pub use gateway::{Answer, Gateway};
 pub use journal_file::JournalFile;

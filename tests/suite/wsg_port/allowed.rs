@@ -11,7 +11,7 @@ use crate::harness::{DEADLINE, run};
 async fn only_allowed_addresses_can_connect() {
     let text = "[grippers.g]\nurl = \"sim://wsg50\"\nwsg_port = [\"127.0.0.1:0\", \"udp://127.0.0.1:0?reply_port=sender\"]\n\
         wsg_port_allow = [\"127.0.0.2\", \"10.0.0.0/8\"]\n";
-    let gateway = configured("allowed.toml", text).await;
+    let gateway = configured(text).await;
     let tcp: std::net::SocketAddr = gateway.word_after("WSG port of g: tcp://").await.parse().unwrap();
     let udp: std::net::SocketAddr = gateway.word_after("WSG port of g: udp://").await.parse().unwrap();
 
@@ -48,7 +48,7 @@ async fn occupied_port_is_a_startup_error() {
 async fn allowed_drivers_connect_to_non_loopback_addresses() {
     let text = "[grippers.g]\nurl = \"sim://wsg50\"\nwsg_port = \"0.0.0.0:0\"\n\
         wsg_port_allow = [\"127.0.0.0/8\"]\n";
-    let gateway = configured("everywhere.toml", text).await;
+    let gateway = configured(text).await;
     let everywhere = gateway.word_after("WSG port of g: tcp://0.0.0.0:").await;
     let address = format!("127.0.0.3:{everywhere}").parse().unwrap();
     assert_eq!(Driver::connect(address).await.status(0x50, &[]).await, SUCCESS);

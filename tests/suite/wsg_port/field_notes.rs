@@ -174,7 +174,7 @@ async fn slow_command_without_motion_has_two_frames() {
     let device = Scripted::start(Table::from([(0xB0, vec![vec![0x1A, 0], success(&[7])])])).await;
     let text =
         format!("[grippers.g]\nurl = \"tcp://{}\"\nread_ids = [0xB0]\nwsg_port = \"127.0.0.1:0\"\n", device.address);
-    let gateway = configured("two-steps.toml", &text).await;
+    let gateway = configured(&text).await;
     let mut driver = connect(&gateway).await;
     assert_eq!(driver.status(0xB0, &[]).await, PENDING);
     let reply = driver.next().await;
@@ -189,7 +189,7 @@ async fn checksum_evaluation_can_be_off() {
         "[grippers.g]\nurl = \"tcp://{}\"\nwsg_port = \"127.0.0.1:0\"\nwsg_port_checksum_evaluation = false\n",
         device.address
     );
-    let gateway = configured("checksums.toml", &text).await;
+    let gateway = configured(&text).await;
     let mut driver = connect(&gateway).await;
     let mut frame = request(0x50, &[]);
     let checksum = frame.len() - 2;

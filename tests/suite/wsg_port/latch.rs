@@ -71,7 +71,7 @@ async fn acknowledge_any_allows_every_driver() {
         "[grippers.g]\nurl = \"tcp://{}\"\nwsg_port = \"127.0.0.1:0\"\nwsg_port_acknowledge = \"any\"\n",
         device.address
     );
-    let gateway = super::configured("any.toml", &text).await;
+    let gateway = super::configured(&text).await;
     let mut driver = super::connect(&gateway).await;
     gateway.post("fast-stop", &json!({})).await.ok();
     assert_eq!(driver.status(0x24, b"ack").await, SUCCESS);

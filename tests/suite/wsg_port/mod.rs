@@ -68,10 +68,8 @@ impl Cell {
 }
 
 /// Starts a gateway with this configuration, and waits for the link.
-async fn configured(name: &str, text: &str) -> Gateway {
-    let path = std::path::PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("{}-{name}", std::process::id()));
-    std::fs::write(&path, text).unwrap();
-    let gateway = Gateway::start(&["--config", path.to_str().unwrap()]).await;
+async fn configured(text: &str) -> Gateway {
+    let gateway = Gateway::with_file(&[], text).await;
     gateway.until_link("connected").await;
     gateway
 }

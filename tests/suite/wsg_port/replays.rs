@@ -37,11 +37,11 @@ async fn replay(driver: &mut Driver, frames: &[Vec<u8>]) -> Vec<u16> {
 }
 
 /// A device with scripts, whose fingers move when the test says so.
-async fn scripted(name: &str) -> (Scripted, Gateway) {
+async fn scripted() -> (Scripted, Gateway) {
     let scripts = [0xB0, 0xB1, 0xB2].map(|id| (id, vec![success(&[id])]));
     let device = Scripted::start(Table::from(scripts)).await;
     let text = format!("[grippers.g]\nurl = \"tcp://{}\"\nwsg_port = \"127.0.0.1:0\"\n", device.address);
-    let gateway = configured(name, &text).await;
+    let gateway = configured(&text).await;
     (device, gateway)
 }
 
@@ -68,7 +68,7 @@ async fn driver_starts_again_after_its_own_loss_and_after_the_devices_fast_stop(
 
 #[tokio::test]
 async fn script_that_reads_takes_no_lease_and_its_end_stops_nothing() {
-    let (device, gateway) = scripted("reads.toml").await;
+    let (device, gateway) = scripted().await;
     for driver in ["umi", "nalt"] {
         let read: Vec<Vec<u8>> = recordings::read(&format!("drivers/{driver}"))[1]
             .requests
@@ -96,10 +96,8 @@ async fn script_that_reads_takes_no_lease_and_its_end_stops_nothing() {
 async fn script_that_steers_takes_the_lease_once_the_fingers_move() {
     let [_, _, to_width, at_speed] = steps::<4>("nalt");
     // The ids of nalt's scripts, and of a site that steers with B0h.
-    for (round, frame) in
-        [to_width, at_speed, vec![crate::harness::wsg::request(0xB0, &[1; 9])]].into_iter().enumerate()
-    {
-        let (device, gateway) = scripted(&format!("steers-{round}.toml")).await;
+    for frame in [to_width, at_speed, vec![crate::harness::wsg::request(0xB0, &[1; 9])]] {
+        let (device, gateway) = scripted().await;
         let (mut driver, mut other) = (connect(&gateway).await, connect(&gateway).await);
         replay(&mut driver, &frame).await;
         assert_eq!(gateway.state().await["lease_holder"], json!(null), "nothing moves");
@@ -120,7 +118,7 @@ async fn script_that_steers_takes_the_lease_once_the_fingers_move() {
 
 #[tokio::test]
 async fn fingers_that_begin_to_move_after_a_loss_are_stopped() {
-    let (device, gateway) = scripted("late.toml").await;
+    let (device, gateway) = scripted().await;
     let [_, _, steer, _] = steps::<4>("nalt");
     let mut driver = connect(&gateway).await;
     assert_eq!(replay(&mut driver, &steer).await, [SUCCESS]);
@@ -133,7 +131,7 @@ async fn fingers_that_begin_to_move_after_a_loss_are_stopped() {
 
 #[tokio::test]
 async fn script_is_refused_in_fast_stop() {
-    let (device, gateway) = scripted("stopped.toml").await;
+    let (device, gateway) = scripted().await;
     let [_, read, ..] = steps::<4>("nalt");
     gateway.post("fast-stop", &json!({})).await.ok();
     let mut driver = connect(&gateway).await;

@@ -19,14 +19,14 @@ const EVERY: Duration = Duration::from_millis(20);
 
 const REQUESTS: u32 = 100;
 
-async fn cell(name: &str) -> (Scripted, Gateway) {
+async fn cell() -> (Scripted, Gateway) {
     let scripts = [STREAM, MOTION, READ].map(|id| (id, vec![success(&[id])]));
     let device = Scripted::start(Table::from(scripts)).await;
     let text = format!(
         "[grippers.g]\nurl = \"tcp://{}\"\nread_ids = [{READ}]\nstream_ids = [{STREAM}]\nwsg_port = \"127.0.0.1:0\"\n",
         device.address
     );
-    let gateway = configured(name, &text).await;
+    let gateway = configured(&text).await;
     (device, gateway)
 }
 
@@ -45,7 +45,7 @@ async fn counted(gateway: &Gateway) -> (u64, usize) {
 
 #[tokio::test]
 async fn stream_keeps_its_rate_with_one_journal_record_a_second() {
-    let (device, gateway) = cell("stream.toml").await;
+    let (device, gateway) = cell().await;
     let mut driver = connect(&gateway).await;
     let mut due = interval(EVERY);
     // Late requests are not caught up.
@@ -78,7 +78,7 @@ async fn stream_keeps_its_rate_with_one_journal_record_a_second() {
 
 #[tokio::test]
 async fn simultaneous_stream_requests_are_queued() {
-    let (_device, gateway) = cell("stream-at-once.toml").await;
+    let (_device, gateway) = cell().await;
     let mut driver = connect(&gateway).await;
     for _ in 0..20 {
         driver.send(STREAM, &[]).await;
@@ -90,7 +90,7 @@ async fn simultaneous_stream_requests_are_queued() {
 
 #[tokio::test]
 async fn stream_is_refused_in_fast_stop_and_without_the_lease() {
-    let (device, gateway) = cell("stream-refused.toml").await;
+    let (device, gateway) = cell().await;
     let raw = json!({"id": STREAM, "payload": "00"});
     let answer = gateway.post("raw", &raw).await.ok();
     assert_eq!((&answer["payload"], &answer["outcome"]), (&json!("b1"), &json!("SUCCESS")), "{answer}");
@@ -117,7 +117,7 @@ async fn stream_is_refused_in_fast_stop_and_without_the_lease() {
 
 #[tokio::test]
 async fn client_lost_while_streaming_is_a_fast_stop() {
-    let (device, gateway) = cell("stream-lost.toml").await;
+    let (device, gateway) = cell().await;
     let mut driver = connect(&gateway).await;
     stream(&mut driver).await;
     driver.leave().await;
@@ -131,7 +131,7 @@ async fn client_lost_while_streaming_is_a_fast_stop() {
 
 #[tokio::test]
 async fn client_lost_after_its_stream_stops_nothing() {
-    let (device, gateway) = cell("stream-over.toml").await;
+    let (device, gateway) = cell().await;
     let mut driver = connect(&gateway).await;
     stream(&mut driver).await;
     let until = Instant::now() + Duration::from_millis(1200);

@@ -1,47 +1,40 @@
 //! The shipped network configuration: an observer's certificate permits reads and stops, but no motion.
 
-use std::path::PathBuf;
-
 use rcgen::{BasicConstraints, CertificateParams, DnType, IsCa, Issuer, KeyPair};
 use serde_json::{Value, json};
 
-use crate::harness::{Gateway, MOTIONS, Proxy, Simulator, ZenohClient, eventually, zenoh::config};
+use crate::harness::{Directory, Gateway, MOTIONS, Proxy, Simulator, ZenohClient, eventually, zenoh::config};
 
 const SHIPPED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/deploy/zenoh/gateway.json5");
 
 /// A temporary directory with certificates from one authority.
 struct Certificates {
-    directory: PathBuf,
+    files: Directory,
     authority: Issuer<'static, KeyPair>,
 }
 
 impl Certificates {
-    fn new(test: &str) -> Self {
-        let directory = std::env::temp_dir().join(format!("wsg-gateway-{}-certificates-{test}", std::process::id()));
-        std::fs::create_dir_all(&directory).unwrap();
+    fn new() -> Self {
         let (mut params, key) = (named("cell CA"), KeyPair::generate().unwrap());
         params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
         let certificate = params.self_signed(&key).unwrap();
-        std::fs::write(directory.join("ca.pem"), certificate.pem()).unwrap();
-        Self { directory, authority: Issuer::new(params, key) }
+        let files = Directory::new();
+        files.write("ca.pem", &certificate.pem());
+        Self { files, authority: Issuer::new(params, key) }
     }
 
     fn issue(&self, name: &str) {
         let key = KeyPair::generate().unwrap();
         let certificate = named(name).signed_by(&key, &self.authority).unwrap();
-        std::fs::write(self.path(&format!("{name}.pem")), certificate.pem()).unwrap();
-        std::fs::write(self.path(&format!("{name}.key")), key.serialize_pem()).unwrap();
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.directory.join(name)
+        self.files.write(&format!("{name}.pem"), &certificate.pem());
+        self.files.write(&format!("{name}.key"), &key.serialize_pem());
     }
 
     /// Connects a client with a certificate for this name.
     async fn client(&self, name: &str, endpoint: &str) -> ZenohClient {
         self.issue(name);
         let mut client = config("client", &[], &[endpoint]);
-        let path = |name: &str| json!(self.path(name)).to_string();
+        let path = |name: &str| json!(self.files.file(name)).to_string();
         for (key, value) in [
             ("root_ca_certificate", path("ca.pem")),
             ("connect_certificate", path(&format!("{name}.pem"))),
@@ -54,12 +47,6 @@ impl Certificates {
     }
 }
 
-impl Drop for Certificates {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_dir_all(&self.directory);
-    }
-}
-
 fn named(name: &str) -> CertificateParams {
     let mut params = CertificateParams::new(["localhost".to_owned(), "gateway".to_owned()]).unwrap();
     params.distinguished_name.push(DnType::CommonName, name);
@@ -69,7 +56,7 @@ fn named(name: &str) -> CertificateParams {
 /// The shipped file, with these certificates and a free loopback port.
 fn shipped(certificates: &Certificates) -> String {
     let text = std::fs::read_to_string(SHIPPED).unwrap();
-    let text = text.replace("/etc/wsg-gateway", certificates.directory.to_str().unwrap());
+    let text = text.replace("/etc/wsg-gateway", certificates.files.path());
     let changed = text.replace("quic/0.0.0.0:7447", "quic/localhost:0");
     assert!(changed.contains("localhost:0") && !changed.contains("/etc/"), "{changed}");
     changed
@@ -83,15 +70,12 @@ async fn moves_nothing(client: &ZenohClient, command: &str, payload: &Value) -> 
 /// Starts a gateway with the shipped file, and returns it with its proxy, its device and its endpoint.
 async fn served(certificates: &Certificates) -> (Gateway, Proxy, Simulator, String) {
     certificates.issue("gateway");
-    let own = certificates.path("zenoh.json5");
-    std::fs::write(&own, shipped(certificates)).unwrap();
-    let toml = certificates.path("gateway.toml");
-    std::fs::write(&toml, format!("[zenoh]\nconfig = {:?}\n", own.display().to_string())).unwrap();
+    let own = certificates.files.write("zenoh.json5", &shipped(certificates));
+    let toml = certificates.files.write("gateway.toml", &format!("[zenoh]\nconfig = {own:?}\n"));
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
     let gripper = format!("g=tcp://{}", proxy.address);
-    let gateway =
-        Gateway::start_without_zenoh_defaults(&["--gripper", &gripper, "--config", toml.to_str().unwrap()]).await;
+    let gateway = Gateway::start_without_zenoh_defaults(&["--gripper", &gripper, "--config", &toml]).await;
     gateway.until_link("connected").await;
     let endpoint = gateway.word_after("Zenoh: ").await;
     let port = endpoint.rsplit(':').next().unwrap();
@@ -101,7 +85,7 @@ async fn served(certificates: &Certificates) -> (Gateway, Proxy, Simulator, Stri
 
 #[tokio::test(flavor = "multi_thread")]
 async fn observer_reads_and_stops_but_moves_nothing() {
-    let certificates = Certificates::new("observer");
+    let certificates = Certificates::new();
     let (gateway, proxy, _device, endpoint) = served(&certificates).await;
     let observer = certificates.client("observer", &endpoint).await;
     let received = observer.subscribe("wsg/v1/gateway/g/*").await;
@@ -136,7 +120,7 @@ async fn observer_reads_and_stops_but_moves_nothing() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn robot_commands_only_under_its_own_name() {
-    let certificates = Certificates::new("robot");
+    let certificates = Certificates::new();
     let (gateway, _proxy, _device, endpoint) = served(&certificates).await;
     let robot = certificates.client("robot-1", &endpoint).await;
     let other = certificates.client("cell-8", &endpoint).await;
