@@ -174,7 +174,7 @@ export async function slowReads({ url }) {
   return { url: `http://127.0.0.1:${proxy.address().port}`, held: () => waiting.size };
 }
 
-/** Launches the browser for all tests of a file. Whatever a test starts ends with the test. */
+/** Launches the browser for all tests of a file. All that a test starts ends with the test. */
 export async function browser() {
   const launched = await chromium.launch({ executablePath: CHROMIUM, args: FLAGS, chromiumSandbox: false });
   afterEach(endAll);

@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use zenoh::config::EndPoint;
 
+use super::open::OpenSession;
 use crate::fleet::Peers;
 use crate::interfaces::sockets::remedy;
 
@@ -31,8 +32,8 @@ pub struct Connectivity {
 }
 
 impl Connectivity {
-    /// Returns the configuration with which a session opens only if it can listen on all endpoints; `None` if there are
-    /// no endpoints, or if one of them has an `exit_on_failure` of its own.
+    /// Returns the configuration with which a session opens only if it can listen on all endpoints. Without endpoints, or
+    /// if one has an `exit_on_failure` of its own, returns `None`.
     #[must_use]
     pub fn without_retries(&self) -> Option<zenoh::Config> {
         let decides_itself = |endpoint: &String| endpoint.contains("exit_on_failure");
@@ -47,11 +48,13 @@ impl Connectivity {
 
     /// Watches the endpoints while it is polled. Calls `opened` with new locators, and reports missing listeners and
     /// connections with their causes.
-    pub async fn watch(&self, session: &zenoh::Session, network: &Peers, mut opened: impl FnMut(&[String])) {
+    pub async fn watch(&self, open: &OpenSession, network: &Peers, mut opened: impl FnMut(&[String])) {
+        let OpenSession { session, listens_everywhere } = open;
         let (mut known, mut looks_after, mut was_connected) = (Vec::new(), LOOKS_AFTER, false);
         loop {
             let mut locators: Vec<_> = session.info().locators().await.iter().map(ToString::to_string).collect();
-            let missing = missing(&self.listen, &locators);
+            // For 0.0.0.0, Zenoh lists only addresses beyond loopback, of interfaces that were up when the process started.
+            let missing = if *listens_everywhere { Vec::new() } else { missing(&self.listen, &locators) };
             locators.retain(|locator| !known.contains(locator));
             opened(&locators);
             known.extend(locators);

@@ -180,6 +180,14 @@ async fn occupied_port_is_reported_and_retried() {
     assert!(gateway.terminate().await.status.success());
 }
 
+/// Zenoh lists no address for this endpoint, like for 0.0.0.0 while no network is connected.
+#[tokio::test(flavor = "multi_thread")]
+async fn gateway_without_a_network_is_ready() {
+    let endpoint = "tcp/0.0.0.0:0#iface=lo";
+    let gateway = Gateway::start(&["--gripper", "g=sim://wsg50", "--zenoh-listen", endpoint, "--insecure"]).await;
+    eventually("the gateway is ready", async || (readiness(&gateway).await.0 == true).then_some(())).await;
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn missing_router_delays_neither_commands_nor_shutdown() {
     let nobody = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
