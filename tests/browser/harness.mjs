@@ -91,7 +91,7 @@ async function run(flags, looksFor) {
   });
   const kill = async (signal = 'SIGKILL') => {
     child.kill(signal);
-    // A test that failed can leave it stopped.
+    // A failed test can leave the process stopped.
     child.kill('SIGCONT');
     await ended;
   };

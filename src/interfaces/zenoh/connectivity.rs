@@ -7,7 +7,6 @@ use std::time::Duration;
 
 use zenoh::config::EndPoint;
 
-use super::open::OpenSession;
 use crate::fleet::Peers;
 use crate::interfaces::sockets::remedy;
 
@@ -32,12 +31,14 @@ pub struct Connectivity {
 }
 
 impl Connectivity {
-    /// Returns the configuration with which a session opens only if it can listen on all endpoints. Without endpoints, or
-    /// if one has an `exit_on_failure` of its own, returns `None`.
+    /// Returns the configuration with which a session opens only if it can listen on all endpoints. Returns `None`
+    /// without endpoints, if one has an `exit_on_failure` of its own, or if a name service that is down could delay one.
     #[must_use]
     pub fn without_retries(&self) -> Option<zenoh::Config> {
-        let decides_itself = |endpoint: &String| endpoint.contains("exit_on_failure");
-        if self.listen.is_empty() || self.listen.iter().any(decides_itself) {
+        let opens_at_once = |endpoint: EndPoint| {
+            endpoint.config().get("exit_on_failure").is_none() && is_known_host(endpoint.address().as_str())
+        };
+        if self.listen.is_empty() || !self.listen.iter().all(|text| text.parse().is_ok_and(opens_at_once)) {
             return None;
         }
         let mut config = self.config.clone();
@@ -46,15 +47,21 @@ impl Connectivity {
         Some(config)
     }
 
-    /// Watches the endpoints while it is polled. Calls `opened` with new locators, and reports missing listeners and
-    /// connections with their causes.
-    pub async fn watch(&self, open: &OpenSession, network: &Peers, mut opened: impl FnMut(&[String])) {
-        let OpenSession { session, listens_everywhere } = open;
+    /// Watches the endpoints while it is polled. Calls `opened` with new locators, and reports connections and, unless
+    /// the session `listens_everywhere`, listeners that are missing, with their causes.
+    pub async fn watch(
+        &self,
+        session: &zenoh::Session,
+        listens_everywhere: bool,
+        network: &Peers,
+        mut opened: impl FnMut(&[String]),
+    ) {
         let (mut known, mut looks_after, mut was_connected) = (Vec::new(), LOOKS_AFTER, false);
         loop {
             let mut locators: Vec<_> = session.info().locators().await.iter().map(ToString::to_string).collect();
-            // For 0.0.0.0, Zenoh lists only addresses beyond loopback, of interfaces that were up when the process started.
-            let missing = if *listens_everywhere { Vec::new() } else { missing(&self.listen, &locators) };
+            // The list can lack an open listener: for 0.0.0.0, it has only addresses beyond loopback of interfaces that
+            // were up when Zenoh first looked.
+            let missing = if listens_everywhere { Vec::new() } else { missing(&self.listen, &locators) };
             locators.retain(|locator| !known.contains(locator));
             opened(&locators);
             known.extend(locators);
@@ -177,6 +184,12 @@ fn why_not(config: &zenoh::Config, endpoint: &str) -> String {
     format!("Zenoh cannot listen on {endpoint}: {why}")
 }
 
+/// Whether the host is an IP address, or a name that the machine knows itself.
+fn is_known_host(address: &str) -> bool {
+    let host = address.rsplit_once(':').map_or("", |(host, _)| host);
+    host == "localhost" || host.trim_matches(['[', ']']).parse::<IpAddr>().is_ok()
+}
+
 /// Binds the endpoint's address for a moment.
 fn bind(endpoint: &EndPoint) -> io::Result<()> {
     let address = endpoint.address();
@@ -213,6 +226,18 @@ mod tests {
         assert_eq!(missing(&["tcp/127.0.0.1:0", "tcp/127.0.0.1:7447"], &["tcp/127.0.0.1:7447"]), "tcp/127.0.0.1:0");
         assert_eq!(missing(&["tls/localhost:7447"], &["tls/127.0.0.1:7447"]), "");
         assert_eq!(missing(&["tcp/[::1]:7447"], &[]), "tcp/[::1]:7447");
+    }
+
+    #[test]
+    fn only_hosts_that_need_no_name_service_are_opened_at_once() {
+        let opens_at_once = |listen: &[&str]| {
+            let listen = listen.iter().map(|&endpoint| endpoint.to_owned()).collect();
+            Connectivity { config: zenoh::Config::default(), listen, connect: Vec::new() }.without_retries().is_some()
+        };
+        assert!(opens_at_once(&["tcp/127.0.0.1:0", "tcp/[::1]:7447", "quic/localhost:0", "tcp/0.0.0.0:7447#iface=lo"]));
+        assert!(!opens_at_once(&[]));
+        assert!(!opens_at_once(&["tcp/127.0.0.1:7447", "tcp/gateway.example:7447"]));
+        assert!(!opens_at_once(&["tcp/127.0.0.1:7447#exit_on_failure=false"]));
     }
 
     #[test]

@@ -56,24 +56,23 @@ pub struct ZenohSettings {
 /// `opened` with the addresses that Zenoh listens on.
 pub async fn serve(settings: ZenohSettings, context: Context, opened: impl FnMut(&[String])) {
     let ZenohSettings { connectivity, max_hz } = settings;
-    let open = tokio::select! {
+    let OpenSession { session, listens_everywhere } = tokio::select! {
         biased;
         () = context.closing.cancelled() => return,
         open = OpenSession::open(&connectivity, &context.gateway.peers) => open,
     };
-    let session = &open.session;
     let declared = tokio::select! {
         biased;
         () = context.closing.cancelled() => return,
-        declared = declare(session, &context, max_hz) => declared,
+        declared = declare(&session, &context, max_hz) => declared,
     };
     match declared {
         Ok(mut declared) => {
             tokio::select! {
                 biased;
                 () = context.closing.cancelled() => {}
-                () = connectivity.watch(&open, &context.gateway.peers, opened) => {}
-                () = declared.follow_grippers(session, &context) => {}
+                () = connectivity.watch(&session, listens_everywhere, &context.gateway.peers, opened) => {}
+                () = declared.follow_grippers(&session, &context) => {}
             }
         }
         Err(error) => {

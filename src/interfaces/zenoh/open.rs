@@ -15,7 +15,7 @@ const OPENED_AGAIN_AT_LEAST_EVERY: Duration = Duration::from_secs(30);
 #[derive(Debug)]
 pub struct OpenSession {
     pub session: zenoh::Session,
-    /// Whether the session has listened on all endpoints since it was opened. If not, Zenoh retries some of them.
+    /// Whether the session was opened only because it listens on all endpoints. If false, some may be missing.
     pub listens_everywhere: bool,
 }
 
@@ -33,9 +33,9 @@ impl OpenSession {
         }
     }
 
-    /// Opens a session that listens on all endpoints. If that fails, opens one that retries them in the background:
-    /// there, Zenoh 1.10 can lose a listener from its list of locators, if it adds the listener while it opens the
-    /// session.
+    /// First tries a session that opens only if it listens on all endpoints. If that fails, opens one that retries
+    /// them in the background. There, Zenoh 1.10 can lose an open listener from its list of locators, because two tasks
+    /// that finish at the same time overwrite each other's list.
     async fn try_open(connectivity: &Connectivity) -> zenoh::Result<Self> {
         if let Some(config) = connectivity.without_retries()
             && let Ok(session) = open(config).await
@@ -62,8 +62,13 @@ mod tests {
     use std::net::TcpListener;
 
     use serde_json::json;
+    use tokio::net::TcpStream;
+    use tokio::time::{sleep, timeout};
 
     use super::*;
+
+    const LOOKS_EVERY: Duration = Duration::from_millis(10);
+    const DEADLINE: Duration = Duration::from_secs(10);
 
     /// A configuration that retries endpoints in the background, like the gateway's.
     fn connectivity(listen: &[&str], connect: &[&str]) -> Connectivity {
@@ -101,24 +106,30 @@ mod tests {
 
     #[tokio::test(flavor = "multi_thread")]
     async fn free_endpoint_is_open_while_a_taken_one_is_retried() {
+        // `silent` accepts connections but never answers, so that closing a session takes 10 s.
         let [taken, free, silent] = std::array::from_fn(|_| TcpListener::bind("127.0.0.1:0").unwrap());
         let (first, second, connect) = (endpoint(&free), endpoint(&taken), endpoint(&silent));
+        let address = free.local_addr().unwrap();
         drop(free);
         let connectivity = connectivity(&[&first, &second], &[&connect]);
         let OpenSession { session, listens_everywhere } = OpenSession::try_open(&connectivity).await.unwrap();
         assert!(!listens_everywhere);
-        let listens_on = async |wanted: &str| {
-            let looks = async {
-                while !session.info().locators().await.iter().any(|locator| locator.to_string() == wanted) {
-                    tokio::time::sleep(Duration::from_millis(10)).await;
-                }
-            };
-            tokio::time::timeout(Duration::from_secs(10), looks).await.unwrap();
+        let is_served = async {
+            while TcpStream::connect(address).await.is_err() {
+                sleep(LOOKS_EVERY).await;
+            }
         };
-        listens_on(&first).await;
+        timeout(DEADLINE, is_served).await.unwrap();
         drop(taken);
-        listens_on(&second).await;
-        // Otherwise Zenoh waits 10 s for it.
+        let is_complete = async {
+            let listed = async || session.info().locators().await.iter().map(ToString::to_string).collect::<Vec<_>>();
+            while !listed().await.contains(&second) {
+                sleep(LOOKS_EVERY).await;
+            }
+            assert!(listed().await.contains(&first));
+        };
+        timeout(DEADLINE, is_complete).await.unwrap();
+        // Otherwise closing the session waits 10 s for this peer.
         drop(silent);
     }
 }

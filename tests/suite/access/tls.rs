@@ -35,10 +35,11 @@ type ClientCertificate = (CertificateDer<'static>, PrivateKeyDer<'static>);
 
 /// A gateway as `init` configures it.
 struct Initialised {
+    // Ends before the directory is removed.
+    _process: Process,
     directory: Directory,
     address: SocketAddr,
     token: String,
-    _process: Process,
 }
 
 async fn initialised() -> Initialised {

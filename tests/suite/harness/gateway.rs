@@ -29,7 +29,7 @@ pub struct Gateway {
     process: Process,
     base: String,
     http: reqwest::Client,
-    files: Directory,
+    files: Option<Directory>,
 }
 
 /// An HTTP response.
@@ -117,7 +117,7 @@ impl Gateway {
         let files = Directory::new();
         let file = files.write("gateway.toml", toml);
         let mut gateway = Self::start(&[arguments, &["--config", &file]].concat()).await;
-        gateway.files = files;
+        gateway.files = Some(files);
         gateway
     }
 
@@ -163,13 +163,14 @@ impl Gateway {
             headers.insert(AUTHORIZATION, format!("Bearer {first}").parse().unwrap());
         }
         gateway.http = client().default_headers(headers).build().unwrap();
-        gateway.files = files;
+        gateway.files = Some(files);
         (gateway, secrets)
     }
 
     /// Revokes a token of a guarded gateway.
     pub async fn revoke(&self, name: &str) {
-        let revoked = super::run(&["token", "--tokens", &self.files.file(TOKENS), "revoke", name]).await;
+        let tokens = self.files.as_ref().expect("a guarded gateway").file(TOKENS);
+        let revoked = super::run(&["token", "--tokens", &tokens, "revoke", name]).await;
         assert!(revoked.status.success(), "{revoked:?}");
     }
 
@@ -178,7 +179,7 @@ impl Gateway {
         let process = Process::start(&[&["--listen", "127.0.0.1:0"], arguments].concat());
         let base = process.word_after(" at http://").await;
         let base = format!("http://{}", base.trim_end_matches('/'));
-        Self { process, base, http: client().build().unwrap(), files: Directory::new() }
+        Self { process, base, http: client().build().unwrap(), files: None }
     }
 
     /// Log so far.

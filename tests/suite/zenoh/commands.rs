@@ -180,12 +180,15 @@ async fn occupied_port_is_reported_and_retried() {
     assert!(gateway.terminate().await.status.success());
 }
 
-/// Zenoh lists no address for this endpoint, like for 0.0.0.0 while no network is connected.
+/// Zenoh lists no address for this endpoint, as for 0.0.0.0 while no network is connected.
 #[tokio::test(flavor = "multi_thread")]
 async fn gateway_without_a_network_is_ready() {
-    let endpoint = "tcp/0.0.0.0:0#iface=lo";
-    let gateway = Gateway::start(&["--gripper", "g=sim://wsg50", "--zenoh-listen", endpoint, "--insecure"]).await;
+    let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let endpoint = format!("tcp/0.0.0.0:{port}#iface=lo");
+    let gateway = Gateway::start(&["--gripper", "g=sim://wsg50", "--zenoh-listen", &endpoint, "--insecure"]).await;
     eventually("the gateway is ready", async || (readiness(&gateway).await.0 == true).then_some(())).await;
+    let client = ZenohClient::at(&format!("tcp/127.0.0.1:{port}")).await;
+    assert_eq!(client.command("stop", &json!({})).await.unwrap()["outcome"], "SUCCESS");
 }
 
 #[tokio::test(flavor = "multi_thread")]
