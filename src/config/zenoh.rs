@@ -135,12 +135,12 @@ impl Zenoh {
         };
         let Some(mode) = mode else { return Ok(None) };
         let mut settings = base.settings.clone();
-        let mut set = |key: &str, value: Value| {
+        let mut set = |key: &str, value: Value, place: &ConfigPlace| {
             settings
                 .insert_json5(key, &value.to_string())
-                .map_err(|error| ConfigError::at(&base.place, format!("{key}: {error}")))
+                .map_err(|error| ConfigError::at(place, format!("{key}: {error}")))
         };
-        set("mode", json!(mode.to_str()))?;
+        set("mode", json!(mode.to_str()), &base.place)?;
         let default_listen = if mode == WhatAmI::Client { vec![] } else { vec![DEFAULT_LISTEN.to_owned()] };
         let listen = endpoints(listen, &base, "listen/endpoints", mode, default_listen)?;
         let connect = endpoints(connect, &base, "connect/endpoints", mode, Vec::new())?;
@@ -149,11 +149,11 @@ impl Zenoh {
                 "a Zenoh client needs a router or a peer: name it with --zenoh-connect, e.g. tcp/127.0.0.1:7447";
             return Err(ConfigError::at(&base.place, detail));
         }
-        set("listen/endpoints", json!(listen.0))?;
-        set("connect/endpoints", json!(connect.0))?;
+        set("listen/endpoints", json!(listen.0), &listen.1)?;
+        set("connect/endpoints", json!(connect.0), &connect.1)?;
         for (key, value) in defaults() {
             if base.leaves_out(key) {
-                set(key, value)?;
+                set(key, value, &base.place)?;
             }
         }
         let zenoh = Self { max_hz: max_hz(content)?, settings, listen: listen.0.clone(), connect: connect.0.clone() };
@@ -297,7 +297,7 @@ fn endpoints(
         }
     };
     for endpoint in &endpoints {
-        if !has_protocol(endpoint, PROTOCOLS) {
+        if !has_protocol(endpoint, PROTOCOLS) || endpoint.contains(char::is_whitespace) {
             let detail =
                 format!("{endpoint:?} is not a Zenoh endpoint: write {DEFAULT_LISTEN} or quic/cell-7.example:7447");
             return Err(ConfigError::at(&place, detail));

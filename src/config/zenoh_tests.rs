@@ -156,7 +156,10 @@ fn section_error_names_its_line() {
         file.and_then(|file| Config::merge(&flags(), Some(&file))).unwrap_err().to_string()
     };
     assert!(error("[zenoh]\nmax_hz = 0").starts_with("gateway.toml:2: max_hz is 0; it must be from 1 to 100"));
-    assert!(error("[zenoh]\nlisten = ['nowhere']").starts_with("gateway.toml:2: \"nowhere\" is not a Zenoh endpoint"));
+    for endpoint in ["nowhere", "tcp/10.0.0.7:7447 ", "tcp/10.0\u{2029}.0.7:7447"] {
+        let error = error(&format!("[zenoh]\nlisten = ['{endpoint}']"));
+        assert!(error.starts_with(&format!("gateway.toml:2: {endpoint:?} is not a Zenoh endpoint")), "{error}");
+    }
     assert!(error("[zenoh]\nconfig = 'none.json5'").contains("none.json5"));
     assert!(error("[zenoh]\nmode = 'leader'").starts_with("gateway.toml:2: "));
 }
