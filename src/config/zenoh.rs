@@ -297,7 +297,9 @@ fn endpoints(
         }
     };
     for endpoint in &endpoints {
-        if !has_protocol(endpoint, PROTOCOLS) || endpoint.contains(char::is_whitespace) {
+        // Paths in its parameters can have spaces.
+        let has_spaces = |parsed: EndPoint| parsed.address().as_str().contains(char::is_whitespace);
+        if !has_protocol(endpoint, PROTOCOLS) || endpoint.parse().is_ok_and(has_spaces) {
             let detail =
                 format!("{endpoint:?} is not a Zenoh endpoint: write {DEFAULT_LISTEN} or quic/cell-7.example:7447");
             return Err(ConfigError::at(&place, detail));
