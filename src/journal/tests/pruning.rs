@@ -162,7 +162,9 @@ async fn file_that_cannot_shrink_still_takes_records() {
     let retention = Retention { max_age: Some(Duration::from_hours(20)), ..Retention::default() };
     let (journal, _) = Journal::open(directory.place(), retention).unwrap();
     removed(&journal, 600).await;
-    assert_eq!(*journal.health().borrow(), JournalHealth::default());
+    // The check in the background may have found the damage already.
+    let health = journal.health().borrow().clone();
+    assert_eq!((health.failure, health.lost), (None, 0));
 }
 
 #[tokio::test]
