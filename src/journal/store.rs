@@ -75,7 +75,7 @@ pub(super) struct Store {
     /// Open files; `None` for a journal in memory.
     presence: Option<FilePresence>,
     /// Lock that is held while the journal is open.
-    _lock: Option<File>,
+    _lock: Option<Lock>,
 }
 
 impl Store {
@@ -231,8 +231,18 @@ fn write_ahead(connection: &Connection) -> rusqlite::Result<()> {
     connection.pragma_update_and_check(None, "journal_size_limit", LOG_BYTES.cast_signed(), |_| Ok(()))
 }
 
-/// Takes the lock that keeps a second gateway from the same file. Readers ignore it.
-fn lock(path: &Path) -> Result<File, OpenError> {
+/// The lock that keeps a second gateway from the same file. Readers ignore it.
+#[derive(Debug)]
+struct Lock(File);
+
+impl Drop for Lock {
+    /// Closing the file does not suffice: a child process shares it until it has begun its program.
+    fn drop(&mut self) {
+        let _ = self.0.unlock();
+    }
+}
+
+fn lock(path: &Path) -> Result<Lock, OpenError> {
     let failed = |path: &Path| {
         let path = path.to_owned();
         move |cause| OpenError::Directory { path, cause }
@@ -243,7 +253,7 @@ fn lock(path: &Path) -> Result<File, OpenError> {
     let name = lock_file(path).map_err(failed(path))?;
     let lock = File::options().write(true).create(true).truncate(false).open(&name).map_err(failed(&name))?;
     match lock.try_lock() {
-        Ok(()) => Ok(lock),
+        Ok(()) => Ok(Lock(lock)),
         Err(TryLockError::WouldBlock) => Err(OpenError::Locked(path.to_owned())),
         Err(TryLockError::Error(cause)) => Err(failed(&name)(cause)),
     }
@@ -282,5 +292,21 @@ impl Store {
     /// Limits the file's size, as a full disk does.
     pub(super) fn limit_pages(&self, pages: i64) {
         self.connection.pragma_update_and_check(None, "max_page_count", pages, |_| Ok(())).unwrap();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::Directory;
+    use super::*;
+
+    #[test]
+    fn lock_ends_although_a_child_shares_its_file() {
+        let directory = Directory::new();
+        let held = lock(&directory.journal()).unwrap();
+        let _shared = held.0.try_clone().unwrap();
+        assert!(matches!(lock(&directory.journal()), Err(OpenError::Locked(_))));
+        drop(held);
+        assert!(lock(&directory.journal()).is_ok());
     }
 }
