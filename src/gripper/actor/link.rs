@@ -377,6 +377,17 @@ impl DeviceLink {
         }
     }
 
+    /// Withdraws the gateway's own Stops that wait for the reply to an earlier Stop. The motions that they were for have
+    /// ended, and they would stop the next one.
+    pub(super) fn withdraw_later_stops(&mut self) {
+        let stops = self.purposes.iter().filter(|(_, purpose)| matches!(purpose, Purpose::Stop(_)));
+        let later_own = stops.skip(1).filter(|(_, purpose)| matches!(purpose, Purpose::Stop(None)));
+        let tokens: Vec<_> = later_own.map(|(token, _)| *token).collect();
+        for token in tokens {
+            self.withdraw(token);
+        }
+    }
+
     /// Sends a repeated Stop, unless a Stop is pending. There is nothing to stop, as far as known.
     pub(super) fn stop_again(&mut self, now: Now) {
         if !self.purposes.values().any(|purpose| matches!(purpose, Purpose::Stop(_))) {

@@ -1,9 +1,20 @@
 //! Ends of motions.
 
 use super::*;
-use crate::gripper::model::{Action, Code, Motion, Outcome, Submission};
+use crate::gripper::handle::Ticket;
+use crate::gripper::model::{Action, Code, CommandId, Motion, Outcome, Submission};
 use crate::gripper::recorder::Record;
 use crate::wsg::{Speed, Width};
+
+/// Begins a motion whose replies the device holds back.
+fn release(rig: &mut Rig) -> (CommandId, Ticket) {
+    rig.device.held.insert(id::RELEASE);
+    let motion = Motion::Release { width: Width::new(50.0).unwrap(), speed: Speed::new(50.0).unwrap() };
+    let (id, action) = (rig.ids.command_id(rig.now.wall), Action::Motion(motion));
+    let submission = Submission { client: client(), action, request_id: None, lease: None };
+    let mut answered = rig.request(|answer| ActorRequest::Submit { submission, id, answer });
+    (id, answered.try_recv().unwrap().unwrap())
+}
 
 #[test]
 fn failed_motion_says_why() {
@@ -14,12 +25,7 @@ fn failed_motion_says_why() {
         (Status::E_CMD_FAILED, Outcome::Failed, Code::DeviceRefused, "check the state"),
     ] {
         let mut rig = Rig::connected(config(TCP));
-        rig.device.held.insert(id::RELEASE);
-        let motion = Motion::Release { width: Width::new(50.0).unwrap(), speed: Speed::new(50.0).unwrap() };
-        let (id, action) = (rig.ids.command_id(rig.now.wall), Action::Motion(motion));
-        let submission = Submission { client: client(), action, request_id: None, lease: None };
-        let mut answered = rig.request(|answer| ActorRequest::Submit { submission, id, answer });
-        let ticket = answered.try_recv().unwrap().unwrap();
+        let (id, ticket) = release(&mut rig);
         rig.reply(id::RELEASE, Status::E_CMD_PENDING, &[]);
         rig.reply(id::RELEASE, status, &[]);
         rig.now.instant += Duration::from_millis(60);
@@ -43,4 +49,24 @@ fn failed_motion_says_why() {
         });
         assert_eq!(grip, Some((Some(code), Some(detail))));
     }
+}
+
+#[test]
+fn second_cancel_does_not_stop_the_next_motion() {
+    let mut rig = Rig::connected(config(TCP));
+    rig.device.held.insert(id::STOP);
+    let (cancelled, _) = release(&mut rig);
+    rig.reply(id::RELEASE, Status::E_CMD_PENDING, &[]);
+    // The second Stop waits for the reply to the first.
+    for _ in 0..2 {
+        let (answer, _) = oneshot::channel();
+        rig.actor.request(rig.now, ActorRequest::Cancel { id: cancelled, client: client(), answer });
+        rig.exchange();
+    }
+    rig.reply(id::RELEASE, Status::E_CMD_ABORTED, &[]);
+    rig.pass(60);
+    release(&mut rig);
+    rig.reply(id::STOP, Status::E_SUCCESS, &[]);
+    rig.exchange();
+    assert_eq!((rig.count(id::RELEASE), rig.count(id::STOP)), (2, 1));
 }
