@@ -7,6 +7,19 @@ import { assertClean, browser, controlled, gateway, homed, named, simulator, unt
 
 const launched = await browser();
 
+/** Filters the messages between a page and the gateway after the page's next load. */
+function filtered(page, { toPage = () => true, toGateway = () => true }) {
+  return page.routeWebSocket('**/api/v1/ws', (socket) => {
+    const server = socket.connectToServer();
+    socket.onMessage((message) => {
+      if (toGateway(JSON.parse(message))) server.send(message);
+    });
+    server.onMessage((message) => {
+      if (toPage(JSON.parse(message), () => socket.send(message))) socket.send(message);
+    });
+  });
+}
+
 test('handed-over control is taken from any view', async () => {
   const served = await gateway();
   const [anna, ben] = [await visit(launched, served), await visit(launched, served)];
@@ -27,17 +40,13 @@ test('control handed over at once is taken too', async () => {
   const served = await gateway();
   const [anna, ben] = [await visit(launched, served), await visit(launched, served)];
   // Ben's page gets no answer about the lease before the hand-over.
-  await ben.page.routeWebSocket('**/api/v1/ws', (socket) => {
-    const server = socket.connectToServer();
-    const unanswered = new Set();
-    socket.onMessage((message) => {
-      const { id, method } = JSON.parse(message);
+  const unanswered = new Set();
+  await filtered(ben.page, {
+    toGateway: ({ id, method }) => {
       if (method === 'lease') unanswered.add(id);
-      server.send(message);
-    });
-    server.onMessage((message) => {
-      if (!unanswered.has(JSON.parse(message).id)) socket.send(message);
-    });
+      return true;
+    },
+    toPage: ({ id }) => !unanswered.has(id),
   });
   await ben.page.reload();
   await controlled(anna.page);
@@ -65,12 +74,29 @@ test('only the first request for control is confirmed', async () => {
 test('releasing a jog after a forced take does not stop the new holder', async () => {
   const served = await gateway();
   const { page } = await visit(launched, served);
+  let asked = null;
+  let isAnswered = false;
+  await filtered(page, {
+    toGateway: ({ id, method }) => {
+      if (method === 'move') asked = id;
+      return true;
+    },
+    toPage: ({ id }, pass) => {
+      pass();
+      isAnswered ||= id === asked;
+      return false;
+    },
+  });
+  await page.reload();
   await homed(page);
   await page.locator('#jog-close').hover();
   const state = () => served.ask('GET', 'grippers/left/state');
   const from = (await state()).width_mm;
   await page.mouse.down();
   await until('the jog moves the fingers', async () => (await state()).width_mm < from - 1);
+  // A page that does not know the id of its command yet stops any motion.
+  await until('the jog is answered', () => isAnswered);
+  await page.evaluate(() => {});
   const { token } = await served.ask('POST', 'grippers/left/lease', { holder: 'robot', ttl_ms: 60_000, force: true });
   const runs = await until('the robot moves the fingers', async () => {
     const { id } = await served.ask('POST', 'grippers/left/move?wait_ms=0', {
@@ -105,19 +131,11 @@ test('releasing a jog stops it even if its answer was lost', async () => {
   assert.ok((await state()).width_mm > 5, 'stopped on its way');
 });
 
-/** Starts a jog by Anna, with a request for control by Ben. `toAnna` and `toGateway` filter the messages. */
-async function jogging({ toAnna = () => true, toGateway = () => true }) {
+/** Starts a jog by Anna, whose messages are filtered, with a request for control by Ben. */
+async function jogging(filters) {
   const served = await gateway();
   const [anna, ben] = [await visit(launched, served), await visit(launched, served)];
-  await anna.page.routeWebSocket('**/api/v1/ws', (socket) => {
-    const server = socket.connectToServer();
-    socket.onMessage((message) => {
-      if (toGateway(JSON.parse(message))) server.send(message);
-    });
-    server.onMessage((message) => {
-      if (toAnna(JSON.parse(message), () => socket.send(message))) socket.send(message);
-    });
-  });
+  await filtered(anna.page, filters);
   await anna.page.reload();
   await homed(anna.page);
   await ben.page.click('#ask-control');
@@ -161,12 +179,12 @@ test('a handed-over jog is cancelled as soon as its id is known', async () => {
     if (method === 'move' && params.speed_mm_s === 5) asked = id;
     return true;
   };
-  const toAnna = ({ id, method }, pass) => {
+  const toPage = ({ id, method }, pass) => {
     if (method !== undefined || id !== asked) return true;
     named = pass;
     return false;
   };
-  const { state, stopped, page } = await jogging({ toAnna, toGateway });
+  const { state, stopped, page } = await jogging({ toPage, toGateway });
   await page.mouse.up();
   assert.equal((await state()).moving, true);
   named();
