@@ -71,6 +71,37 @@ test('only the first request for control is confirmed', async () => {
   assert.equal(await cleo.page.locator('.control-panel:has-text("Control requested.")').count(), 0);
 });
 
+test('a late answer about the lease does not hide a request for control', async () => {
+  const served = await gateway();
+  const [anna, ben] = [await visit(launched, served), await visit(launched, served)];
+  await named(ben.page, 'Ben');
+  let isTaken = false;
+  let late = null;
+  let pass = null;
+  await filtered(anna.page, {
+    toGateway: ({ id, method }) => {
+      if (method === 'lease' && isTaken) late ??= id;
+      return true;
+    },
+    toPage: ({ id, method, params }, passes) => {
+      isTaken ||= method === 'event' && params.event === 'taken';
+      if (late === null || id !== late) return true;
+      pass = passes;
+      return false;
+    },
+  });
+  await anna.page.reload();
+  await controlled(anna.page);
+  await until('the lease is answered', () => pass);
+  await ben.page.click('#ask-control');
+  const notice = '[data-notice=asked]:has-text("Ben is asking for control of left")';
+  await anna.page.waitForSelector(notice);
+  pass();
+  await anna.page.evaluate(() => new Promise(requestAnimationFrame));
+  await anna.page.evaluate(() => new Promise(requestAnimationFrame));
+  assert.equal(await anna.page.locator(notice).count(), 1);
+});
+
 test('releasing a jog after a forced take does not stop the new holder', async () => {
   const served = await gateway();
   const { page } = await visit(launched, served);

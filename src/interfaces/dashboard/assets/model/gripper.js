@@ -51,6 +51,8 @@ export class Gripper {
     this.lostControl = signal(null);
     /** Numbers the FAST STOP requests for this gripper. */
     this.stopping = numbered();
+    /** Numbers the reads of limits and lease. */
+    this.learning = numbered();
     /** Whether this page has requested a motion that no state reports yet. */
     this.isAsked = signal(false);
     this.samples = new Samples(SAMPLES);

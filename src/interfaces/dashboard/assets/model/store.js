@@ -173,7 +173,9 @@ const read = (method, one) => inTurn(() => rpc.call(method, { gripper: one.name 
 
 /** Fetches what a state does not contain: limits, and the terms of the lease. */
 export async function learn(one) {
+  const isNewest = one.learning();
   const [info, lease] = await Promise.allSettled([read('info', one), read('lease', one)]);
+  if (!isNewest()) return;
   batch(() => {
     if (info.value) one.info.value = info.value;
     if (lease.value) one.lease.value = lease.value;
