@@ -31,7 +31,6 @@ impl Actor {
                 }
                 self.check_motion(now, motion, submission)?;
                 self.claim(now, &submission.client, submission.lease.as_ref())?;
-                self.link.withdraw_later_stops();
                 // A settling motion ends now, with its values so far, before the next one changes them.
                 self.end_running(now, false);
                 let keep = self.lease.keep(now.instant, submission.lease.as_ref()).map(Arc::new);

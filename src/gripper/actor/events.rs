@@ -171,7 +171,7 @@ impl Actor {
             Purpose::Motion(id) => self.motion_ended(now, id, end),
             Purpose::Stop(Some(id)) => self.stop_ended(now, id, end),
             // A drain looks for the last requests that remain.
-            Purpose::Stop(None) | Purpose::Announce => {}
+            Purpose::Stop(None) | Purpose::Cancel | Purpose::Announce => {}
             Purpose::Exchange(exchange) => {
                 self.reads.forget();
                 if self.is_script(&exchange.command) {

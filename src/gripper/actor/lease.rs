@@ -11,6 +11,7 @@ use super::super::model::{
     OnLossMoving, Reason, TakeLease,
 };
 use super::Actor;
+use super::link::Purpose;
 use crate::wsg::SystemState;
 
 impl Actor {
@@ -197,7 +198,7 @@ impl Actor {
         }
         self.withdraw_waiting_motion(now);
         if self.is_moving(now.instant) {
-            self.link.send_stop(now);
+            self.link.send_stop(now, Purpose::Stop(None));
         }
         self.streaming.stopped();
     }

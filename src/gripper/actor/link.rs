@@ -55,6 +55,8 @@ pub(super) enum Purpose {
     Motion(CommandId),
     /// A client's Stop command, or a Stop by the gateway itself (`None`).
     Stop(Option<CommandId>),
+    /// A Stop for a cancelled motion, and for nothing else.
+    Cancel,
     Exchange(Exchange),
     /// A getter that several clients can wait for.
     Read(u8),
@@ -369,20 +371,24 @@ impl DeviceLink {
         withdrawn
     }
 
-    /// Sends a Stop by the gateway itself, unless a Stop is waiting to be written. This keeps room in the queue for
-    /// clients' Stops.
-    pub(super) fn send_stop(&mut self, now: Now) {
-        if self.session.as_ref().is_some_and(|session| !session.has_waiting(id::STOP)) {
-            let _ = self.submit(now, Command::Stop, Purpose::Stop(None));
+    /// Sends a Stop by the gateway itself (`Purpose::Cancel` or `Purpose::Stop(None)`), unless a Stop is waiting to be
+    /// written. This keeps room in the queue for clients' Stops.
+    pub(super) fn send_stop(&mut self, now: Now, purpose: Purpose) {
+        if self.session.as_ref().is_none_or(|session| session.has_waiting(id::STOP)) {
+            if matches!(purpose, Purpose::Stop(_)) {
+                // The waiting Stop has a second reason now.
+                let cancels = self.purposes.values_mut().filter(|purpose| matches!(purpose, Purpose::Cancel));
+                cancels.for_each(|cancel| *cancel = Purpose::Stop(None));
+            }
+            return;
         }
+        let _ = self.submit(now, Command::Stop, purpose);
     }
 
-    /// Withdraws the gateway's own Stops that wait for the reply to an earlier Stop. The motions that they were for have
-    /// ended, and they would stop the next one.
-    pub(super) fn withdraw_later_stops(&mut self) {
-        let stops = self.purposes.iter().filter(|(_, purpose)| matches!(purpose, Purpose::Stop(_)));
-        let later_own = stops.skip(1).filter(|(_, purpose)| matches!(purpose, Purpose::Stop(None)));
-        let tokens: Vec<_> = later_own.map(|(token, _)| *token).collect();
+    /// Withdraws Stops for a cancelled motion that wait to be written, because they would stop the next motion.
+    pub(super) fn withdraw_cancels(&mut self) {
+        let cancels = self.purposes.iter().filter(|(_, purpose)| matches!(purpose, Purpose::Cancel));
+        let tokens: Vec<_> = cancels.map(|(token, _)| *token).collect();
         for token in tokens {
             self.withdraw(token);
         }

@@ -107,6 +107,10 @@ impl Actor {
             }
         };
         running.stage = Stage::Settling(Settling { outcome, status, since: now.instant });
+        // A script can move the fingers after its reply.
+        if status == Some(Status::E_CMD_ABORTED) && !matches!(running.motion, Motion::Custom(_)) {
+            self.link.withdraw_cancels();
+        }
     }
 
     pub(super) fn end_settled_motion(&mut self, now: Now) {
@@ -197,7 +201,7 @@ impl Actor {
         }
         self.withdraw_waiting_motion(now);
         if self.motion.running.is_some() {
-            self.link.send_stop(now);
+            self.link.send_stop(now, Purpose::Cancel);
         }
     }
 

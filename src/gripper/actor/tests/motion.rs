@@ -1,5 +1,6 @@
 //! Ends of motions.
 
+use super::super::link::Purpose;
 use super::*;
 use crate::gripper::handle::Ticket;
 use crate::gripper::model::{Action, Code, CommandId, Motion, Outcome, Submission};
@@ -51,22 +52,35 @@ fn failed_motion_says_why() {
     }
 }
 
-#[test]
-fn second_cancel_does_not_stop_the_next_motion() {
+/// Cancels a motion twice, of which the second Stop waits for the reply to the first. Returns the number of Stops sent
+/// after the device has ended the motion.
+fn stops_of_two_cancels(meanwhile: impl FnOnce(&mut Rig)) -> usize {
     let mut rig = Rig::connected(config(TCP));
     rig.device.held.insert(id::STOP);
     let (cancelled, _) = release(&mut rig);
     rig.reply(id::RELEASE, Status::E_CMD_PENDING, &[]);
-    // The second Stop waits for the reply to the first.
     for _ in 0..2 {
         let (answer, _) = oneshot::channel();
         rig.actor.request(rig.now, ActorRequest::Cancel { id: cancelled, client: client(), answer });
         rig.exchange();
     }
+    assert_eq!(rig.count(id::STOP), 1);
+    meanwhile(&mut rig);
     rig.reply(id::RELEASE, Status::E_CMD_ABORTED, &[]);
     rig.pass(60);
     release(&mut rig);
     rig.reply(id::STOP, Status::E_SUCCESS, &[]);
     rig.exchange();
-    assert_eq!((rig.count(id::RELEASE), rig.count(id::STOP)), (2, 1));
+    assert_eq!(rig.count(id::RELEASE), 2);
+    rig.count(id::STOP)
+}
+
+#[test]
+fn second_cancel_does_not_stop_the_next_motion() {
+    assert_eq!(stops_of_two_cancels(|_| ()), 1);
+}
+
+#[test]
+fn stop_with_another_reason_is_sent_after_a_cancelled_motion() {
+    assert_eq!(stops_of_two_cancels(|rig| rig.actor.link.send_stop(rig.now, Purpose::Stop(None))), 2);
 }
