@@ -236,7 +236,8 @@ fn write_ahead(connection: &Connection) -> rusqlite::Result<()> {
 struct Lock(File);
 
 impl Drop for Lock {
-    /// Closing the file does not suffice: a child process shares it until it has begun its program.
+    /// Unlocks explicitly, because closing the file is not enough: a child process shares the open file until it executes
+    /// its program.
     fn drop(&mut self) {
         let _ = self.0.unlock();
     }
@@ -301,7 +302,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lock_ends_although_a_child_shares_its_file() {
+    fn lock_is_released_while_a_child_shares_its_file() {
         let directory = Directory::new();
         let held = lock(&directory.journal()).unwrap();
         let _shared = held.0.try_clone().unwrap();

@@ -7,7 +7,7 @@ import { assertClean, browser, controlled, gateway, homed, named, simulator, unt
 
 const launched = await browser();
 
-/** Filters the messages between a page and the gateway after the page's next load. */
+/** Filters the messages between a page and the gateway, from the page's next load on. */
 function filtered(page, { toPage = () => true, toGateway = () => true }) {
   return page.routeWebSocket('**/api/v1/ws', (socket) => {
     const server = socket.connectToServer();
@@ -77,26 +77,26 @@ test('a late answer about the lease does not hide a request for control', async 
   await named(ben.page, 'Ben');
   let isTaken = false;
   let late = null;
-  let pass = null;
+  let passLate = null;
   await filtered(anna.page, {
     toGateway: ({ id, method }) => {
       if (method === 'lease' && isTaken) late ??= id;
       return true;
     },
-    toPage: ({ id, method, params }, passes) => {
+    toPage: ({ id, method, params }, passOn) => {
       isTaken ||= method === 'event' && params.event === 'taken';
       if (late === null || id !== late) return true;
-      pass = passes;
+      passLate = passOn;
       return false;
     },
   });
   await anna.page.reload();
   await controlled(anna.page);
-  await until('the lease is answered', () => pass);
+  await until('the lease is answered', () => passLate);
   await ben.page.click('#ask-control');
   const notice = '[data-notice=asked]:has-text("Ben is asking for control of left")';
   await anna.page.waitForSelector(notice);
-  pass();
+  passLate();
   await anna.page.evaluate(() => new Promise(requestAnimationFrame));
   await anna.page.evaluate(() => new Promise(requestAnimationFrame));
   assert.equal(await anna.page.locator(notice).count(), 1);
@@ -125,7 +125,7 @@ test('releasing a jog after a forced take does not stop the new holder', async (
   const from = (await state()).width_mm;
   await page.mouse.down();
   await until('the jog moves the fingers', async () => (await state()).width_mm < from - 1);
-  // A page that does not know the id of its command yet stops any motion.
+  // Until the page knows the id of its command, it stops any motion.
   await until('the jog is answered', () => isAnswered);
   await page.evaluate(() => {});
   const { token } = await served.ask('POST', 'grippers/left/lease', { holder: 'robot', ttl_ms: 60_000, force: true });

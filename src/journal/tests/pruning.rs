@@ -162,7 +162,7 @@ async fn file_that_cannot_shrink_still_takes_records() {
     let retention = Retention { max_age: Some(Duration::from_hours(20)), ..Retention::default() };
     let (journal, _) = Journal::open(directory.place(), retention).unwrap();
     removed(&journal, 600).await;
-    // The check in the background may have found the damage already.
+    // The background check may already have found the damage.
     let health = journal.health().borrow().clone();
     assert_eq!((health.failure, health.lost), (None, 0));
 }

@@ -92,8 +92,8 @@ function isOver(one, press) {
 
 /**
  * Cancels the command of this press, so that no other client's motion stops. If its id is unknown, or if it ended
- * while the fingers can still move (because the answer was lost), any motion is stopped while this page has control, as
- * far as it knows.
+ * while the fingers can still move (because the answer was lost), any motion is stopped, as long as this page believes
+ * that it has control.
  */
 function stop(one, press) {
   if (press.command === null) {
