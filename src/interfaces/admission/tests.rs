@@ -149,6 +149,23 @@ fn long_poll_that_gives_way_keeps_its_connection() {
 }
 
 #[test]
+fn end_of_a_motion_evicts_no_long_poll() {
+    let admission = Admission::new(Bounds::of(Bounds::MAX_DESCRIPTORS));
+    let polls: Vec<_> = (0..1100)
+        .map(|_| {
+            let permit = admit(&admission, HERE);
+            let waiting = permit.claim(Class::Waiting);
+            // A long poll that finds no slot is answered early.
+            drop(permit.claim(Class::Answering).unwrap());
+            (permit, waiting)
+        })
+        .collect();
+    assert!(polls.iter().any(|(_, waiting)| waiting.is_none()));
+    let permits: Vec<_> = polls.into_iter().map(|(permit, _)| permit).collect();
+    assert_eq!(permits.iter().filter(|permit| is_evicted(permit)).count(), 0);
+}
+
+#[test]
 fn demoted_connection_gives_way_before_idle_ones() {
     let admission = Admission::new(Bounds::narrow().with(Class::Incoming, 1).with(Class::Answering, 2));
     let poller = admit(&admission, HERE);
