@@ -11,7 +11,6 @@ use super::super::model::{
     OnLossMoving, Reason, TakeLease,
 };
 use super::Actor;
-use super::link::Purpose;
 use crate::wsg::SystemState;
 
 impl Actor {
@@ -198,7 +197,7 @@ impl Actor {
         }
         self.withdraw_waiting_motion(now);
         if self.is_moving(now.instant) {
-            self.link.send_stop(now, Purpose::Stop(None));
+            self.link.send_stop(now);
         }
         self.streaming.stopped();
     }

@@ -371,27 +371,34 @@ impl DeviceLink {
         withdrawn
     }
 
-    /// Sends a Stop by the gateway itself (`Purpose::Cancel` or `Purpose::Stop(None)`), unless a Stop is waiting to be
-    /// written. This keeps room in the queue for clients' Stops.
-    pub(super) fn send_stop(&mut self, now: Now, purpose: Purpose) {
-        if self.session.as_ref().is_none_or(|session| session.has_waiting(id::STOP)) {
-            if matches!(purpose, Purpose::Stop(_)) {
-                // The waiting Stop has a second reason now.
-                let cancels = self.purposes.values_mut().filter(|purpose| matches!(purpose, Purpose::Cancel));
-                cancels.for_each(|cancel| *cancel = Purpose::Stop(None));
-            }
+    /// Sends a Stop by the gateway itself, unless a Stop is waiting to be written. This keeps room in the queue for
+    /// clients' Stops.
+    pub(super) fn send_stop(&mut self, now: Now) {
+        if !self.has_waiting_stop() {
+            let _ = self.submit(now, Command::Stop, Purpose::Stop(None));
             return;
         }
-        let _ = self.submit(now, Command::Stop, purpose);
+        // The waiting Stop has a second reason now.
+        for purpose in self.purposes.values_mut().filter(|purpose| matches!(purpose, Purpose::Cancel)) {
+            *purpose = Purpose::Stop(None);
+        }
+    }
+
+    /// Sends a Stop for a cancelled motion, unless a Stop is waiting to be written.
+    pub(super) fn send_cancel(&mut self, now: Now) {
+        if !self.has_waiting_stop() {
+            let _ = self.submit(now, Command::Stop, Purpose::Cancel);
+        }
+    }
+
+    fn has_waiting_stop(&self) -> bool {
+        self.session.as_ref().is_some_and(|session| session.has_waiting(id::STOP))
     }
 
     /// Withdraws Stops for a cancelled motion that wait to be written, because they would stop the next motion.
     pub(super) fn withdraw_cancels(&mut self) {
-        let cancels = self.purposes.iter().filter(|(_, purpose)| matches!(purpose, Purpose::Cancel));
-        let tokens: Vec<_> = cancels.map(|(token, _)| *token).collect();
-        for token in tokens {
-            self.withdraw(token);
-        }
+        let Some(session) = &mut self.session else { return };
+        self.purposes.retain(|token, purpose| !(matches!(purpose, Purpose::Cancel) && session.withdraw(*token)));
     }
 
     /// Sends a repeated Stop, unless a Stop is pending. There is nothing to stop, as far as known.

@@ -201,7 +201,7 @@ impl Actor {
         }
         self.withdraw_waiting_motion(now);
         if self.motion.running.is_some() {
-            self.link.send_stop(now, Purpose::Cancel);
+            self.link.send_cancel(now);
         }
     }
 

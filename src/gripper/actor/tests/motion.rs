@@ -1,6 +1,5 @@
 //! Ends of motions.
 
-use super::super::link::Purpose;
 use super::*;
 use crate::gripper::handle::Ticket;
 use crate::gripper::model::{Action, Code, CommandId, Motion, Outcome, Submission};
@@ -82,5 +81,5 @@ fn second_cancel_does_not_stop_the_next_motion() {
 
 #[test]
 fn stop_with_another_reason_is_sent_after_a_cancelled_motion() {
-    assert_eq!(stops_of_two_cancels(|rig| rig.actor.link.send_stop(rig.now, Purpose::Stop(None))), 2);
+    assert_eq!(stops_of_two_cancels(|rig| rig.actor.link.send_stop(rig.now)), 2);
 }
