@@ -7,15 +7,23 @@ import { assertClean, browser, controlled, gateway, homed, named, simulator, unt
 
 const launched = await browser();
 
-/** Filters the messages between a page and the gateway, from the page's next load on. */
+/**
+ * Filters the messages between a page and the gateway, from the page's next load on. `toPage` gets a message, a function
+ * that passes it on, and the request that the message answers.
+ */
 function filtered(page, { toPage = () => true, toGateway = () => true }) {
   return page.routeWebSocket('**/api/v1/ws', (socket) => {
     const server = socket.connectToServer();
+    const requests = new Map();
     socket.onMessage((message) => {
-      if (toGateway(JSON.parse(message))) server.send(message);
+      const request = JSON.parse(message);
+      requests.set(request.id, request);
+      if (toGateway(request)) server.send(message);
     });
     server.onMessage((message) => {
-      if (toPage(JSON.parse(message), () => socket.send(message))) socket.send(message);
+      const parsed = JSON.parse(message);
+      const request = requests.get(parsed.id) ?? null;
+      if (toPage(parsed, () => socket.send(message), request)) socket.send(message);
     });
   });
 }
@@ -40,14 +48,7 @@ test('control handed over at once is taken too', async () => {
   const served = await gateway();
   const [anna, ben] = [await visit(launched, served), await visit(launched, served)];
   // Ben's page gets no answer about the lease before the hand-over.
-  const unanswered = new Set();
-  await filtered(ben.page, {
-    toGateway: ({ id, method }) => {
-      if (method === 'lease') unanswered.add(id);
-      return true;
-    },
-    toPage: ({ id }) => !unanswered.has(id),
-  });
+  await filtered(ben.page, { toPage: (_message, _pass, request) => request?.method !== 'lease' });
   await ben.page.reload();
   await controlled(anna.page);
   await ben.page.click('#ask-control');
@@ -79,14 +80,14 @@ test('a late answer about the lease does not hide a request for control', async 
   let late = null;
   let passLate = null;
   await filtered(anna.page, {
-    toGateway: ({ id, method }) => {
-      if (method === 'lease' && isTaken) late ??= id;
+    toGateway: (request) => {
+      if (request.method === 'lease' && isTaken) late ??= request;
       return true;
     },
-    toPage: ({ id, method, params }, passOn) => {
+    toPage: ({ method, params }, pass, request) => {
       isTaken ||= method === 'event' && params.event === 'taken';
-      if (late === null || id !== late) return true;
-      passLate = passOn;
+      if (late === null || request !== late) return true;
+      passLate = pass;
       return false;
     },
   });
@@ -105,16 +106,11 @@ test('a late answer about the lease does not hide a request for control', async 
 test('releasing a jog after a forced take does not stop the new holder', async () => {
   const served = await gateway();
   const { page } = await visit(launched, served);
-  let asked = null;
   let isAnswered = false;
   await filtered(page, {
-    toGateway: ({ id, method }) => {
-      if (method === 'move') asked = id;
-      return true;
-    },
-    toPage: ({ id }, pass) => {
+    toPage: (_message, pass, request) => {
       pass();
-      isAnswered ||= id === asked;
+      isAnswered ||= request?.method === 'move';
       return false;
     },
   });
@@ -205,17 +201,12 @@ test('the cancel of a handed-over jog is repeated', async () => {
 
 test('a handed-over jog is cancelled as soon as its id is known', async () => {
   let named = null;
-  let asked = null;
-  const toGateway = ({ method, params, id }) => {
-    if (method === 'move' && params.speed_mm_s === 5) asked = id;
-    return true;
-  };
-  const toPage = ({ id, method }, pass) => {
-    if (method !== undefined || id !== asked) return true;
+  const toPage = (_message, pass, request) => {
+    if (request?.method !== 'move' || request.params.speed_mm_s !== 5) return true;
     named = pass;
     return false;
   };
-  const { state, stopped, page } = await jogging({ toPage, toGateway });
+  const { state, stopped, page } = await jogging({ toPage });
   await page.mouse.up();
   assert.equal((await state()).moving, true);
   named();
