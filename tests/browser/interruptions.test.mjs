@@ -9,7 +9,7 @@ const launched = await browser();
 
 /**
  * Filters the messages between a page and the gateway, from the page's next load on. `toPage` gets a message, a function
- * that passes it on, and the request that the message answers.
+ * that passes the message on, and the request that it answers, if any.
  */
 function filtered(page, { toPage = () => true, toGateway = () => true }) {
   return page.routeWebSocket('**/api/v1/ws', (socket) => {
@@ -22,7 +22,7 @@ function filtered(page, { toPage = () => true, toGateway = () => true }) {
     });
     server.onMessage((message) => {
       const parsed = JSON.parse(message);
-      const request = requests.get(parsed.id) ?? null;
+      const request = requests.get(parsed.id);
       if (toPage(parsed, () => socket.send(message), request)) socket.send(message);
     });
   });
@@ -86,7 +86,7 @@ test('a late answer about the lease does not hide a request for control', async 
     },
     toPage: ({ method, params }, pass, request) => {
       isTaken ||= method === 'event' && params.event === 'taken';
-      if (late === null || request !== late) return true;
+      if (request !== late) return true;
       passLate = pass;
       return false;
     },

@@ -371,7 +371,7 @@ impl DeviceLink {
         withdrawn
     }
 
-    /// Sends a Stop by the gateway itself, unless a Stop is waiting to be written. This keeps room in the queue for
+    /// Sends a Stop of the gateway's own, unless a Stop is waiting to be written. This keeps room in the queue for
     /// clients' Stops.
     pub(super) fn send_stop(&mut self, now: Now) {
         if !self.has_waiting_stop() {
@@ -384,7 +384,7 @@ impl DeviceLink {
         }
     }
 
-    /// Sends a Stop for a cancelled motion, unless a Stop is waiting to be written.
+    /// Sends a Stop of the gateway's own that only a cancelled motion needs, unless a Stop is waiting to be written.
     pub(super) fn send_cancel(&mut self, now: Now) {
         if !self.has_waiting_stop() {
             let _ = self.submit(now, Command::Stop, Purpose::Cancel);

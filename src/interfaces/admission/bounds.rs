@@ -63,9 +63,9 @@ const HELD_BYTES: usize = 64 << 20;
 
 /// Incoming connections: enough that a flood of 10,000 connects a second leaves each of them 90 ms to send its request.
 const INCOMING: usize = 896;
-/// Keep-alive connections: a PLC or a browser has a few. All long polls also fit when their motion ends, besides a
-/// thousand that were answered early.
-const IDLE: usize = 1024 + WAITING;
+/// Keep-alive connections: a PLC or a browser has a few. Soon after the end of a motion, all long polls for it are idle,
+/// too: those that waited, and those that were answered early and counted as incoming until they asked again.
+const IDLE: usize = INCOMING + WAITING + 128;
 /// Requests being answered, each within milliseconds unless a device or a disk is slow.
 const ANSWERING: usize = 256;
 /// FAST STOPs in progress: each takes 250 ms at most.
