@@ -489,4 +489,24 @@ mod tests {
         assert!(matches!(next(), ActorRequest::Acknowledge { .. }));
         assert!(matches!(next(), ActorRequest::Cancel { .. }));
     }
+
+    #[tokio::test(start_paused = true)]
+    async fn confirmed_fast_stop_is_answered_as_confirmed() {
+        for confirms in [true, false] {
+            let (handle, _seen) = fake::gripper("left", fake::FakeScript { confirms, ..fake::FakeScript::default() });
+            let id = FastStopId::generate();
+            let stop = handle.fast_stop(id, Client::new("test", Door::Http), Reason::truncated("")).await;
+            assert_eq!((stop.id, stop.confirmed), (id, confirms));
+        }
+    }
+
+    #[tokio::test]
+    async fn last_state_does_not_look_current() {
+        let (handle, queue) = idle();
+        assert_eq!(handle.state().link, Link::Connecting);
+        drop(queue);
+        let state = handle.state();
+        assert_eq!((state.link, state.fault, state.fault_code), (Link::Reconnecting, true, Fault::LinkDown.code()));
+        assert!(state.link_cause.as_ref().is_some_and(|cause| cause.contains("disconnected")), "{state:?}");
+    }
 }

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::gripper::error::Conflict;
+use crate::gripper::latch;
 use crate::gripper::model::{Fault, LeaseToken, TakeLease};
 
 fn acknowledge_fault(rig: &mut Rig, client: Client) -> oneshot::Receiver<Result<(), Rejection>> {
@@ -60,6 +61,22 @@ fn repeated_fast_stop_is_confirmed_at_once_without_updates() {
         let latch = rig.state().latch.unwrap();
         assert!(latch.fast_stop_id == id && latch.fast_stop_confirmed, "{latch:?}");
     }
+}
+
+#[test]
+fn accepted_fast_stop_without_its_flag_is_repeated_in_time() {
+    let mut rig = on_change();
+    rig.device.held.insert(id::FAST_STOP);
+    rig.fast_stop();
+    let due = rig.now.instant + latch::REPEAT_EVERY;
+    rig.reply(id::FAST_STOP, Status::E_SUCCESS, &[]);
+    rig.exchange();
+    while rig.now.instant < due {
+        assert_eq!(rig.count(id::FAST_STOP), 1);
+        rig.now.instant = rig.actor.poll_timeout().expect("a FAST STOP is not confirmed");
+        rig.pass(0);
+    }
+    assert_eq!((rig.now.instant, rig.count(id::FAST_STOP)), (due, 2));
 }
 
 #[test]
