@@ -50,26 +50,9 @@ pub fn spawn(
     recorder: Arc<dyn Recorder>,
     restored: RestoredState,
 ) -> Handle {
-    let (requests, request_queue) = mpsc::channel(MAX_WAITING_REQUESTS);
-    let (fast_stops, fast_stop_queue) = mpsc::channel(MAX_WAITING_FAST_STOPS);
-    let name = config.name.clone();
-    let (mut actor, watches) = Actor::new(config);
-    actor.restore(Now::read(), restored);
-    let health = recorder.health();
-    let driver = Driver {
-        lease_requests: actor.lease_requests(),
-        actor,
-        connector,
-        recorder,
-        health,
-        awaited: FuturesUnordered::new(),
-        requests: request_queue,
-        fast_stops: fast_stop_queue,
-        is_abandoned: false,
-    };
+    let (driver, handle) = Driver::new(config, connector, recorder, restored);
     tokio::spawn(driver.run());
-    let super::actor::Watches { state, info, frames, .. } = watches;
-    Handle { name, requests, fast_stops, state, info, frames }
+    handle
 }
 
 struct Driver {
@@ -108,6 +91,13 @@ struct LinkIo {
     reads_in_a_row: u32,
 }
 
+impl LinkIo {
+    fn new(pipe: Pipe) -> Self {
+        let (outgoing, incoming) = (Outgoing::default(), vec![0; READ_BYTES]);
+        Self { pipe, outgoing, incoming, failed: None, reads_in_a_row: 0 }
+    }
+}
+
 /// Result of a wait.
 enum Input {
     FastStop(Option<FastStopRequest>),
@@ -121,6 +111,33 @@ enum Input {
 }
 
 impl Driver {
+    fn new(
+        config: ActorConfig,
+        connector: Arc<dyn Connector>,
+        recorder: Arc<dyn Recorder>,
+        restored: RestoredState,
+    ) -> (Self, Handle) {
+        let (requests, request_queue) = mpsc::channel(MAX_WAITING_REQUESTS);
+        let (fast_stops, fast_stop_queue) = mpsc::channel(MAX_WAITING_FAST_STOPS);
+        let name = config.name.clone();
+        let (mut actor, watches) = Actor::new(config);
+        actor.restore(Now::read(), restored);
+        let health = recorder.health();
+        let driver = Self {
+            lease_requests: actor.lease_requests(),
+            actor,
+            connector,
+            recorder,
+            health,
+            awaited: FuturesUnordered::new(),
+            requests: request_queue,
+            fast_stops: fast_stop_queue,
+            is_abandoned: false,
+        };
+        let super::actor::Watches { state, info, frames, .. } = watches;
+        (driver, Handle { name, requests, fast_stops, state, info, frames })
+    }
+
     async fn run(mut self) {
         let mut back_off = FIRST_BACK_OFF;
         while !self.actor.is_draining() {
@@ -196,8 +213,7 @@ impl Driver {
     /// Serves a link until it ends. Returns whether it was ever set up.
     async fn serve(&mut self, pipe: Pipe) -> bool {
         self.actor.link_up(Now::read());
-        let (outgoing, incoming) = (Outgoing::default(), vec![0; READ_BYTES]);
-        let mut link = LinkIo { pipe, outgoing, incoming, failed: None, reads_in_a_row: 0 };
+        let mut link = LinkIo::new(pipe);
         let cause = loop {
             if let Some(close) = self.actor.wants_close() {
                 self.farewell(&mut link).await;

@@ -109,3 +109,15 @@ async fn pauses_between_attempts_double_up_to_two_seconds() {
         assert!(longest.mul_f64(0.75) <= *pause && *pause <= longest + Duration::from_millis(1), "{pauses:?}");
     }
 }
+
+#[tokio::test]
+async fn unread_replies_come_before_a_deadline_eight_times() {
+    let (recorder, restored) = (Arc::new(NullRecorder), RestoredState::default());
+    let (mut driver, _handle) = Driver::new(config(TCP), Arc::new(Absent::default()), recorder, restored);
+    let pipe = Pipe { reader: Box::new(tokio::io::repeat(0)), writer: Box::new(tokio::io::sink()) };
+    let (mut link, passed) = (LinkIo::new(pipe), Some(Now::read().instant));
+    for _ in 0..8 {
+        assert!(matches!(driver.next_input(Some(&mut link), passed).await, Input::Read(Ok(_))));
+    }
+    assert!(matches!(driver.next_input(Some(&mut link), passed).await, Input::Deadline));
+}

@@ -60,7 +60,7 @@ async fn flood_of_reads_does_not_reject_stops_or_lease_requests() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn confirmed_fast_stop_is_answered_as_confirmed() {
+async fn reply_to_a_fast_stop_says_whether_it_is_confirmed() {
     for confirms in [true, false] {
         let (handle, _seen) = fake::gripper("left", fake::FakeScript { confirms, ..fake::FakeScript::default() });
         let id = FastStopId::generate();
