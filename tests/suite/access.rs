@@ -142,13 +142,13 @@ async fn routes_without_an_operation_need_the_right_to_read() {
         let request = secret.map_or(client.try_clone().unwrap(), |secret| client.bearer_auth(secret));
         request.send().await.unwrap().status().as_u16()
     };
-    let reads = Some(&*secrets[3]);
-    eventually("the grippers are connected", async || (status("/readyz", reads).await == 200).then_some(())).await;
+    let observer = Some(&*secrets[3]);
+    eventually("the gateway is ready", async || (status("/readyz", observer).await == 200).then_some(())).await;
     for path in ["/metrics", "/readyz", "/api/v1/events", "/api/v1/grips.csv", "/api/v1/stream", "/api/v1/fleet/events"]
     {
         assert_eq!(status(path, None).await, 401, "{path}");
         assert_eq!(status(path, Some(&secrets[4])).await, 403, "{path}");
-        assert_eq!(status(path, reads).await, 200, "{path}");
+        assert_eq!(status(path, observer).await, 200, "{path}");
     }
     assert_eq!(status("/api/v1/ws", None).await, 401);
     for path in ["/", "/healthz", "/docs/guide", "/api/v1/openapi.json"] {
