@@ -20,6 +20,13 @@ const FRAME_BYTES: usize = PAYLOAD_BYTES + 8;
 
 const BYTES_PER_SECOND: f64 = 960.0;
 
+/// Extra delay on a machine that runs other tests at the same time: less than another frame would take.
+const MACHINE: Duration = Duration::from_millis(200);
+
+fn line_time(bytes: usize) -> Duration {
+    Duration::from_secs_f64(bytes as f64 / BYTES_PER_SECOND)
+}
+
 fn bytes(frame: &FrameRecord) -> usize {
     frame.hex.len() / 2
 }
@@ -27,7 +34,7 @@ fn bytes(frame: &FrameRecord) -> usize {
 /// Returns the time at which a real line has carried this frame. A pty has no speed of its own, and passes frames on at
 /// once.
 fn carried(frame: &FrameRecord) -> Timestamp {
-    frame.at + Duration::from_secs_f64(bytes(frame) as f64 / BYTES_PER_SECOND)
+    frame.at + line_time(bytes(frame))
 }
 
 /// Waits for the next frame that is handed to the line.
@@ -72,6 +79,8 @@ async fn fast_stop_waits_for_one_frame_at_most() {
         let is_free = next.at + Duration::from_millis(1) >= carried(frame);
         assert!(is_free, "handed over while the line was busy with {frame:?}: {next:?}");
     }
+    let (stop, latest) = (sent.last().unwrap(), asked + line_time(FRAME_BYTES) + MACHINE);
+    assert!(stop.at <= latest, "requested at {asked}, handed over at {}", stop.at);
     // Earlier output of the device takes its time as well.
     rig.until("stopped", SOON, |state| state.latch.as_ref().is_some_and(|latch| latch.fast_stop_confirmed)).await;
     let is_ours = |id: &u8| FLOOD.contains(id) || *id == id::FAST_STOP;
