@@ -2,20 +2,23 @@
 //!
 //! # The map
 //!
-//! - [`wsg`]: the protocol, sans-IO: frames, commands, replies, and the [session](wsg::session) on a link.
+//! - [`wsg`]: the protocol without I/O (sans-IO): frames, commands, replies, and the [session](wsg::session) on a link.
 //! - [`transport`]: byte pipes to devices; knows nothing of the protocol.
 //! - [`gripper`]: one actor per gripper, the only owner of its state; everyone else has a [handle](gripper::Handle).
 //! - [`operations`]: everything that a client can request, defined once for all interfaces.
-//! - [`interfaces`]: [HTTP](interfaces::http), [Zenoh](interfaces::zenoh), the [WSG port](interfaces::wsg_port), and
-//!   the [dashboard](interfaces::dashboard) at `/`, which uses only the public WebSocket and REST.
+//! - [`interfaces`]: [HTTP](interfaces::http), [WebSocket](interfaces::websocket), [Modbus TCP](interfaces::modbus),
+//!   [Zenoh](interfaces::zenoh), the [WSG port](interfaces::wsg_port), and the [dashboard](interfaces::dashboard) at `/`,
+//!   which uses only the public WebSocket and REST.
+//! - [`access`]: roles and credentials, and their check.
 //! - [`events`]: live updates, serialised once for all clients.
 //! - [`trends`]: the measured values of the last ten minutes.
 //! - [`recipes`]: the values with which parts are gripped and released.
 //! - [`alarms`]: conditions that a person has to know of, until they are acknowledged.
 //! - [`fleet`]: the other gateways on the Zenoh network.
+//! - [`wear`]: use of the fingers, and drift of contact widths.
 //! - [`journal`]: events and grip records that outlive the gateway, in SQLite.
 //! - [`webhooks`]: the journal's events, as HTTP requests to other programs.
-//! - [`sim`]: a device, modelled from the manual: a pure machine, with faults.
+//! - [`sim`]: a simulated device, modelled from the manual, with faults.
 //! - [`config`]: file, environment and flags, turned into validated types; nothing else reads them.
 //! - [`daemon`]: the composition root, which builds, connects and drains everything in order.
 //! - [`doctor`]: checks of an installation, and discovery of devices.
@@ -23,7 +26,7 @@
 //!
 //! A request comes in through an interface, which parses it once into a [`gripper::model`] value for the gripper's
 //! handle. The [actor](gripper::actor) decides, and hands a request to the session, which makes bytes. On the way out,
-//! bytes become session events and change the actor's state, whose newest value is watched.
+//! bytes become session events, which change the actor's state; clients follow its newest value.
 //! [Updates](events::LiveUpdates) are serialised once, and all clients share their bytes. The device side runs on a
 //! runtime of its own, and so do WebSockets, so that even a great number of clients hardly delays a FAST STOP.
 //!

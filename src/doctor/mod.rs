@@ -1,6 +1,6 @@
 //! Diagnosis of an installation, and discovery of devices.
 //!
-//! The checks change no setting and move no finger. Devices of a running gateway are not contacted, because a device
+//! The checks change no setting and move no gripper. Devices of a running gateway are not contacted, because a device
 //! accepts one client.
 
 mod bundle;

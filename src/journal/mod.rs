@@ -2,7 +2,7 @@
 //!
 //! A gripper never waits for the journal: [`Journal`] is a [`Recorder`] with a queue, and a thread of its own writes
 //! many records per transaction. A caller can be notified once its record is on the disk. Readers have their own
-//! connections, and get the JSON as it was written. [`verify`] finds records that were changed since.
+//! connections, and get the JSON as it was written. [`verify`] finds records that were changed later.
 
 mod backup;
 mod chain;

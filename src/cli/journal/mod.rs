@@ -96,8 +96,8 @@ struct Filters {
     /// Only records of this gripper
     #[arg(long, value_name = "NAME")]
     gripper: Option<String>,
-    /// Only records of this kind: command, fast_stop, acknowledge, lease, link, device, settings, refused or gateway;
-    /// with --grips home, move, grip or release
+    /// Only records of this kind: command, fast_stop, acknowledge, lease, link, device, settings, refused, alarm, recipe
+    /// or gateway; with --grips home, move, grip, release or reference
     #[arg(long)]
     kind: Option<String>,
     /// Only records of this part

@@ -1,9 +1,9 @@
 //! Admission: decides which of a listener's connections are kept and which give way to others.
 //!
 //! A connection is in one [`Class`] at a time, and each class has its own bound, so that no kind of traffic can use up
-//! the slots of another. A connection that has not sent a complete request has no claim. If its class is full, the
-//! oldest such connection gives way to the newest, so that a FAST STOP always finds a slot. For some milliseconds, one
-//! that has sent nothing yet is spared before one that has, since it may bring a FAST STOP. The peer with the most
+//! the slots of another. If the class of connections without a complete request is full, the oldest of them is closed
+//! to admit the newest, so that a FAST STOP always finds a slot. A connection that has sent nothing yet may bring a FAST
+//! STOP: for its first milliseconds, a connection that has sent something is closed in its place. The peer with the most
 //! connections in that class loses one, so that one address cannot shut out the others.
 //!
 //! The total bytes held for connections are bounded, too: beyond [`Bounds::held_bytes`] the connection that holds the

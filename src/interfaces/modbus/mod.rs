@@ -1,4 +1,4 @@
-//! Modbus TCP: the grippers as registers, for controllers with a cycle.
+//! Modbus TCP: the grippers as registers, for PLCs and other cyclic controllers.
 //!
 //! `registers` has the layout of both register maps. `commands` translates the gateway map to orders, and `fieldbus` the
 //! gripper's own cyclic image. `image` keeps the registers that a client has written, and decides when they are an order.

@@ -5,6 +5,7 @@
 //! | `/{gripper}/state`, `/telemetry`, `/event` | publications; also `/event` without a gripper |
 //! | `/{gripper}/state`, `/info` | queries |
 //! | `/{gripper}/command/{name}` | queries, named like WebSocket methods: `grip`, `lease.take` |
+//! | `/command/{name}`, `/events`, `/grips`, `/readiness` | queries to the gateway itself |
 //! | `/{gripper}/alive` | a liveliness token while the gripper's link is up; `/alive` while the gateway runs |
 //! | `/instance/{id}` | a unique liveliness token of this gateway: two of them mean two gateways of one name |
 //! | `/dashboard/{url}` | a liveliness token with the percent-encoded URL of the dashboard, if one is configured |
