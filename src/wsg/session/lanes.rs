@@ -41,13 +41,13 @@ impl Lanes {
         Ok(())
     }
 
-    /// Removes the next FAST STOP or Stop whose id is open.
-    pub(super) fn pop_urgent(&mut self, is_open: impl Fn(u8) -> bool) -> Option<Waiting> {
+    /// Removes the next FAST STOP or Stop that may be written now.
+    pub(super) fn pop_urgent(&mut self, is_open: impl Fn(&Command) -> bool) -> Option<Waiting> {
         pop_open(&mut self.fast_stop, &is_open).or_else(|| pop_open(&mut self.stop, &is_open))
     }
 
-    /// Removes the next other request whose id is open. Requests of different ids can overtake each other.
-    pub(super) fn pop_rest(&mut self, is_open: impl Fn(u8) -> bool) -> Option<Waiting> {
+    /// Removes the next other request that may be written now. Requests of different ids can overtake each other.
+    pub(super) fn pop_rest(&mut self, is_open: impl Fn(&Command) -> bool) -> Option<Waiting> {
         pop_open(&mut self.rest, &is_open)
     }
 
@@ -87,7 +87,7 @@ impl Lanes {
     }
 }
 
-fn pop_open(lane: &mut VecDeque<Waiting>, is_open: impl Fn(u8) -> bool) -> Option<Waiting> {
-    let index = lane.iter().position(|waiting| is_open(waiting.request.command.id()))?;
+fn pop_open(lane: &mut VecDeque<Waiting>, is_open: impl Fn(&Command) -> bool) -> Option<Waiting> {
+    let index = lane.iter().position(|waiting| is_open(&waiting.request.command))?;
     lane.remove(index)
 }

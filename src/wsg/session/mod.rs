@@ -12,6 +12,8 @@
 //! - At most one request per id is in flight.
 //! - FAST STOP is written before Stop, and Stop before all others. Frames are handed out one by one, so a stop waits at
 //!   most for the frame being written.
+//! - No motion is written while a Stop waits for the reply to an earlier one, because the Stop would stop that motion. For
+//!   the same reason, no acknowledgement is written while a FAST STOP waits.
 //! - Every request ends exactly once: with a reply or at its deadline.
 //! - After a timeout, an id stays closed until the echo of a later Loop (see `barrier`). A two-step id stays closed
 //!   until its late result arrives, or the device reports not MOVING after that echo. A script's id stays closed until
@@ -38,7 +40,8 @@ pub use lanes::MAX_WAITING;
 use lanes::{Lanes, Waiting};
 use slots::{Closed, InFlight, SlotState, Slots};
 
-/// Limit of one request's line time while the fingers move, because a FAST STOP has to wait for it.
+/// Limit of one request's line time while the fingers may move, because a FAST STOP has to wait for it. It does not apply
+/// to requests as short as a motion.
 pub const MAX_LINE_TIME_WHILE_MOVING: Duration = Duration::from_millis(100);
 
 /// Time limit for the result of a stopped motion. The manual does not promise one (`fw4-en 3.2.3`).
@@ -57,6 +60,10 @@ pub const DUPLICATE_WITHIN: Duration = Duration::from_millis(5);
 /// Silence after which a Loop probes whether the device is still there.
 pub const PROBE_AFTER: Duration = Duration::from_millis(500);
 
+/// Size of a frame with two numbers, as a motion has. On the slowest line, even such a frame takes more than
+/// [`MAX_LINE_TIME_WHILE_MOVING`].
+const SHORT_FRAME_BYTES: usize = frame::OVERHEAD_BYTES + 9;
+
 /// Payload size of the longest automatic update: a status and four bytes.
 const LONGEST_UPDATE_BYTES: usize = 6;
 
@@ -72,6 +79,30 @@ pub struct SessionConfig {
     pub may_duplicate: bool,
     /// Seed that makes this session's nonces differ from those of earlier sessions.
     pub nonce_seed: u64,
+}
+
+impl SessionConfig {
+    fn line_time(&self, bytes: usize) -> Duration {
+        self.bytes_per_second.map_or(Duration::ZERO, |bytes_per_second| {
+            Duration::from_secs_f64(bytes as f64 / f64::from(bytes_per_second.max(1)))
+        })
+    }
+
+    fn line_time_of(&self, command: &Command) -> Duration {
+        if self.bytes_per_second.is_none() {
+            return Duration::ZERO;
+        }
+        let mut frame = Vec::new();
+        command.encode(&mut frame);
+        self.line_time(frame.len())
+    }
+
+    /// Whether a FAST STOP would wait too long for this request. Short frames are never too long: without them, the gateway
+    /// could not read that the fingers have stopped.
+    fn is_too_long(&self, command: &Command) -> bool {
+        let line_time = self.line_time_of(command);
+        line_time > MAX_LINE_TIME_WHILE_MOVING && line_time > self.line_time(SHORT_FRAME_BYTES)
+    }
 }
 
 /// Handle of a request until it ends.
@@ -98,7 +129,7 @@ pub enum NotTaken {
     /// An earlier request of the same script had no reply, which can still arrive.
     #[error("the script has not replied to an earlier request")]
     Unanswered,
-    /// The fingers are moving, and the request takes longer than [`MAX_LINE_TIME_WHILE_MOVING`] on the line.
+    /// The fingers may be moving, and the request takes longer than [`MAX_LINE_TIME_WHILE_MOVING`] on the line.
     #[error("request would occupy the line for {line_ms} ms while the fingers move")]
     LineTime {
         /// Line time of the request in ms.
@@ -205,8 +236,8 @@ impl Session {
     /// [`NotTaken`] if the lane is full, the script has not replied to an earlier request, or the request is too long
     /// for the line while the fingers move. No event follows.
     pub fn submit(&mut self, now: Instant, request: Request) -> Result<Token, NotTaken> {
-        let line_time = self.line_time_of(&request.command);
-        if self.moving && line_time > MAX_LINE_TIME_WHILE_MOVING {
+        let line_time = self.config.line_time_of(&request.command);
+        if self.may_move() && self.config.is_too_long(&request.command) {
             return Err(NotTaken::LineTime { line_ms: line_time.as_millis() as u64 });
         }
         if self.slots.awaits_script(request.command.id()) {
@@ -214,6 +245,9 @@ impl Session {
         }
         let token = Token(self.next_token);
         let deadline = now + request.reply_within + line_time;
+        // A Stop does not end unwritten because of the Stop before it.
+        let before = self.slots.in_flight().find(|(id, _)| *id == id::STOP && request.command == Command::Stop);
+        let deadline = before.map_or(deadline, |(_, before)| deadline.max(before.deadline + request.reply_within));
         self.lanes.push(Waiting { token, request, deadline }).map_err(|_| NotTaken::Full)?;
         self.next_token += 1;
         Ok(token)
@@ -274,7 +308,17 @@ impl Session {
         let before = out.len();
         // A client's Loop and the session's own share one id, so only one can be in flight.
         let loop_busy = self.barrier.is_in_flight();
-        let is_open = |id| self.slots.is_open(id) && !(loop_busy && id == id::LOOP);
+        let (stop_waits, fast_stop_waits) = (self.has_waiting(id::STOP), self.has_waiting(id::FAST_STOP));
+        let may_move = self.may_move();
+        let is_open = |command: &Command| {
+            let id = command.id();
+            self.slots.is_open(id)
+                && !(loop_busy && id == id::LOOP)
+                && !(stop_waits && id::is_motion(id))
+                && !(fast_stop_waits && id == id::ACKNOWLEDGE_FAST_STOP)
+                // The fingers may have begun to move since the request was taken.
+                && !(may_move && self.config.is_too_long(command))
+        };
         if let Some(waiting) = self.lanes.pop_urgent(is_open) {
             self.write(now, waiting, out);
         } else if self.barrier.is_wanted() && !self.loop_in_flight() {
@@ -331,22 +375,15 @@ impl Session {
         self.decoder.counters()
     }
 
-    fn line_time(&self, bytes: usize) -> Duration {
-        self.config.bytes_per_second.map_or(Duration::ZERO, |bytes_per_second| {
-            Duration::from_secs_f64(bytes as f64 / f64::from(bytes_per_second.max(1)))
-        })
-    }
-
-    fn line_time_of(&self, command: &Command) -> Duration {
-        let mut frame = Vec::new();
-        command.encode(&mut frame);
-        self.line_time(frame.len())
+    /// Whether the fingers move, or can begin to move because of a motion whose end is not known.
+    fn may_move(&self) -> bool {
+        self.moving || self.slots.has_motion()
     }
 
     /// Line time of the request, of an update in transmission, and of the longest reply.
     fn round_trip_line_time(&self, request_bytes: usize, id: u8) -> Duration {
         let reply_bytes = frame::OVERHEAD_BYTES + id::max_reply_bytes(id).min(id::MAX_LOOP_BYTES);
-        self.line_time(request_bytes + frame::OVERHEAD_BYTES + LONGEST_UPDATE_BYTES + reply_bytes)
+        self.config.line_time(request_bytes + frame::OVERHEAD_BYTES + LONGEST_UPDATE_BYTES + reply_bytes)
     }
 
     fn loop_in_flight(&self) -> bool {
@@ -434,7 +471,7 @@ impl Session {
 
     fn partial_deadline(&self) -> Option<Instant> {
         let (_, since) = self.partial?;
-        let line_time = self.line_time(frame::OVERHEAD_BYTES + id::MAX_LOOP_BYTES);
+        let line_time = self.config.line_time(frame::OVERHEAD_BYTES + id::MAX_LOOP_BYTES);
         Some(since + line_time + self.config.frame_gap)
     }
 }

@@ -49,8 +49,8 @@ impl Session {
                 Verdict::Accepted => {
                     self.round_trip = Some(now.saturating_duration_since(in_flight.sent_at));
                     in_flight.accepted = true;
-                    if id != id::FAST_STOP {
-                        // Acceptance must not delay the repetition of a FAST STOP.
+                    if !matches!(id, id::STOP | id::FAST_STOP) {
+                        // Acceptance must not delay the repetition of a FAST STOP, or the next Stop.
                         in_flight.deadline = now + in_flight.result_within;
                     }
                     self.events.push_back(SessionEvent::Accepted(in_flight.token));

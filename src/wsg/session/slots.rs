@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use super::{Token, barrier::LoopGeneration};
-use crate::wsg::{Data, Reply, Status};
+use crate::wsg::{Data, Reply, Status, id};
 
 /// An id that is not open.
 #[derive(Debug)]
@@ -102,6 +102,11 @@ pub(super) struct Slots(Vec<Slot>);
 impl Slots {
     pub(super) fn is_open(&self, id: u8) -> bool {
         !self.0.iter().any(|slot| slot.id == id)
+    }
+
+    /// Whether the end of a motion is not known.
+    pub(super) fn has_motion(&self) -> bool {
+        self.0.iter().any(|slot| id::is_motion(slot.id))
     }
 
     pub(super) fn get_mut(&mut self, id: u8) -> Option<&mut Slot> {

@@ -171,19 +171,43 @@ fn fast_stop_and_stop_never_wait_for_an_echo() {
 }
 
 #[test]
-fn pending_fast_stop_times_out_like_unanswered_one() {
-    let mut rig = Rig::new();
-    let token = rig.submit(Command::FastStop);
-    rig.written();
-    rig.pass(Duration::from_millis(1));
-    rig.status(id::FAST_STOP, Status::E_CMD_PENDING);
-    rig.pass(ANSWER);
-    assert_eq!(
-        rig.events(),
-        [SessionEvent::Accepted(token), SessionEvent::Ended(token, End::NoResult { stopped: false })]
-    );
-    rig.submit(Command::FastStop);
-    assert_eq!(rig.written()[..1], [id::FAST_STOP]);
+fn pending_stops_time_out_like_unanswered_ones() {
+    for (command, id) in [(Command::FastStop, id::FAST_STOP), (Command::Stop, id::STOP)] {
+        let mut rig = Rig::new();
+        let token = rig.submit(command.clone());
+        rig.written();
+        rig.pass(Duration::from_millis(1));
+        rig.status(id, Status::E_CMD_PENDING);
+        rig.pass(ANSWER);
+        assert_eq!(
+            rig.events(),
+            [SessionEvent::Accepted(token), SessionEvent::Ended(token, End::NoResult { stopped: false })]
+        );
+        rig.submit(command);
+        assert_eq!(rig.written()[..1], [id]);
+    }
+}
+
+#[test]
+fn nothing_that_a_waiting_stop_would_undo_is_written_before_it() {
+    for (stop, undone) in [(Command::Stop, grip()), (Command::FastStop, Command::AcknowledgeFastStop)] {
+        for is_answered in [true, false] {
+            let (mut rig, id) = (Rig::new(), stop.id());
+            rig.submit(stop.clone());
+            assert_eq!(rig.written(), [id]);
+            rig.pass(ANSWER / 2);
+            rig.submit(stop.clone());
+            rig.submit(undone.clone());
+            rig.submit(Command::GetTemperature);
+            assert_eq!(rig.written(), [id::GET_TEMPERATURE]);
+            if is_answered {
+                rig.status(id, Status::E_SUCCESS);
+            } else {
+                rig.pass(ANSWER / 2);
+            }
+            assert_eq!(rig.written()[..2], [id, undone.id()]);
+        }
+    }
 }
 
 #[test]
@@ -273,6 +297,42 @@ fn long_request_is_rejected_on_slow_line_while_moving() {
     assert!(rig.session.submit(rig.now, long.clone()).is_ok());
     rig.flags(SystemState::MOVING);
     assert_eq!(rig.session.submit(rig.now, long), Err(NotTaken::LineTime { line_ms: 275 }));
+    assert_eq!(rig.written(), NOTHING, "the fingers have begun to move since the request was taken");
+}
+
+#[test]
+fn motion_without_a_known_end_counts_as_moving() {
+    let mut rig = Rig::on_a_line(Some(960));
+    let long = || Command::Loop(LoopData::new(vec![0; 256]).unwrap());
+    rig.submit(grip());
+    rig.submit(long());
+    assert_eq!(rig.written(), [id::GRIP]);
+    assert_eq!(rig.refused(long()), NotTaken::LineTime { line_ms: 275 });
+    rig.status(id::GRIP, Status::E_ACCESS_DENIED);
+    assert_eq!(rig.written(), [id::LOOP], "the motion was refused");
+
+    rig.submit(grip());
+    rig.written();
+    rig.pass(Duration::from_secs(1));
+    assert_eq!(rig.refused(long()), NotTaken::LineTime { line_ms: 275 });
+}
+
+#[test]
+fn waiting_stop_outlasts_the_stop_before_it() {
+    let mut rig = Rig::new();
+    rig.submit(Command::Stop);
+    rig.written();
+    rig.submit(Command::Stop);
+    rig.pass(ANSWER);
+    assert_eq!(rig.written(), [id::STOP]);
+}
+
+#[test]
+fn short_request_is_never_too_long() {
+    let mut rig = Rig::on_a_line(Some(100));
+    rig.flags(SystemState::MOVING);
+    rig.submit(grip());
+    assert_eq!(rig.written(), [id::GRIP]);
 }
 
 #[test]
