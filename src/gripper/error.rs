@@ -242,7 +242,9 @@ pub enum Failure {
          only if the value has changed"
     )]
     FlashWear { command: &'static str, every_ms: u64 },
-    #[error("{command} would take {line_ms} ms of line time; while the fingers move, at most {max_ms} ms are allowed")]
+    #[error(
+        "{command} would take {line_ms} ms of line time; while the fingers may move, at most {max_ms} ms are allowed"
+    )]
     LineTime { command: &'static str, line_ms: u64, max_ms: u64 },
 }
 

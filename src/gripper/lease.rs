@@ -293,6 +293,7 @@ impl LeaseState {
         token: LeaseToken,
         may_return: bool,
     ) -> Result<AcquireOutcome, Conflict> {
+        self.request_closed(now);
         let holder = Holder::of(wish);
         let outcome = match &mut self.held {
             Some(held) if Some(&held.token) == wish.token.as_ref() => {
@@ -419,6 +420,8 @@ impl LeaseState {
 
     /// Ends the lease that has run out.
     pub(super) fn expire(&mut self, now: Instant) -> Option<HeldLease> {
+        // The last open request may have ended just now, and its notice may still be on its way.
+        self.request_closed(now);
         let ended = self.held.take_if(|held| !held.is_open() && held.expires_at <= now);
         if ended.is_some() {
             self.asking.clear();

@@ -53,7 +53,7 @@ impl Actor {
                 }
                 let is_moving = self.is_moving(now.instant);
                 // An unresponsive device may still receive a Stop, so any link will do.
-                if let Err(not_taken) = self.link.submit(now, Command::Stop, Purpose::Stop(Some(id))) {
+                if let Err(not_taken) = self.link.submit(now, Command::Stop, Purpose::Stop(id)) {
                     let ticket = self.join_stop(now, not_taken.0)?;
                     return Ok(Ticket { _keep: keep, ..ticket });
                 }

@@ -47,9 +47,9 @@ impl Actor {
                 (Purpose::Exchange(exchange), _) => {
                     self.answers.add(exchange.answer, Err(rejection.clone()));
                 }
-                (Purpose::Stop(Some(id)), true) => self.reject(now, id, rejection.clone()),
+                (Purpose::Stop(id), true) => self.reject(now, id, rejection.clone()),
                 // The Stop may have happened.
-                (Purpose::Stop(Some(id)), false) => {
+                (Purpose::Stop(id), false) => {
                     self.end(now, id, |record| {
                         record.set_outcome(Outcome::Unknown);
                         record.explain(rejection.code(), &rejection);

@@ -12,7 +12,7 @@ use super::super::handle::Answer;
 use super::super::model::{Client, LeaseToken};
 use super::super::observed;
 use super::Actor;
-use super::link::{Close, Purpose};
+use super::link::{Close, OwnStop, Purpose};
 use crate::wsg::{Command, SystemState};
 
 /// Time limit for the device to stop, and again for its reply to the announcement.
@@ -199,7 +199,7 @@ impl Actor {
                 drain.until = now.instant + ANSWERED_WITHIN;
                 if self.motion.running.is_some() {
                     self.withdraw_waiting_motion(now);
-                    let _ = self.link.submit(now, Command::Stop, Purpose::Stop(None));
+                    self.link.send_stop(now, OwnStop::new(self.motion.id()));
                 }
             }
             Stage::Stopping if idle || late => self.leave(now),

@@ -169,9 +169,10 @@ impl Actor {
             }
             Purpose::Force(id, force) => self.force_ended(now, id, force, end),
             Purpose::Motion(id) => self.motion_ended(now, id, end),
-            Purpose::Stop(Some(id)) => self.stop_ended(now, id, end),
+            Purpose::Stop(id) => self.stop_ended(now, id, end),
+            Purpose::OwnStop(stop) => self.own_stop_ended(now, stop, &end),
             // A drain looks for the last requests that remain.
-            Purpose::Stop(None) | Purpose::Cancel | Purpose::Announce => {}
+            Purpose::Announce => {}
             Purpose::Exchange(exchange) => {
                 self.reads.forget();
                 if self.is_script(&exchange.command) {

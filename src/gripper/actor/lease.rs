@@ -11,6 +11,7 @@ use super::super::model::{
     OnLossMoving, Reason, TakeLease,
 };
 use super::Actor;
+use super::link::OwnStop;
 use crate::wsg::SystemState;
 
 impl Actor {
@@ -78,6 +79,11 @@ impl Actor {
             AcquireOutcome::HandedOver | AcquireOutcome::Again => {}
         }
         self.withdraw_stale_scripts();
+        let is_own = |id| self.commands.client(id).is_some_and(|client| client.subject == wish.client.subject);
+        if !matches!(outcome, AcquireOutcome::Again) && !self.motion.id().is_some_and(is_own) {
+            // A motion that has not started would start under another client's lease.
+            self.withdraw_waiting_motion(now);
+        }
         if wish.force && !matches!(outcome, AcquireOutcome::Again) {
             // The motion may also belong to a lost holder, or to one that has handed over.
             self.stop_motion(now);
@@ -183,8 +189,8 @@ impl Actor {
         self.streaming.stopped();
     }
 
-    /// Whether the fingers are known to move or to be about to, a stream was active at `at`, or a motion that was
-    /// running when the link was lost may still be running.
+    /// Whether the fingers are known to move or to be about to, a stream was active at `at`, or a motion that has
+    /// ended without a sign of the device may still be running.
     pub(super) fn is_moving(&self, at: Instant) -> bool {
         let moves_unseen = self.motion.moves_unseen(at);
         self.motion.is_under_way() || self.observed.has(SystemState::MOVING) || self.is_streaming(at) || moves_unseen
@@ -197,7 +203,7 @@ impl Actor {
         }
         self.withdraw_waiting_motion(now);
         if self.is_moving(now.instant) {
-            self.link.send_stop(now);
+            self.link.send_stop(now, OwnStop::new(self.motion.id()));
         }
         self.streaming.stopped();
     }

@@ -53,15 +53,34 @@ pub(super) enum Purpose {
     /// Set Force Limit before a grip.
     Force(CommandId, Force),
     Motion(CommandId),
-    /// A client's Stop command, or a Stop by the gateway itself (`None`).
-    Stop(Option<CommandId>),
-    /// A Stop for a cancelled motion, and for nothing else.
-    Cancel,
+    /// A client's Stop command.
+    Stop(CommandId),
+    OwnStop(OwnStop),
     Exchange(Exchange),
     /// A getter that several clients can wait for.
     Read(u8),
     /// One of the last requests before the link is closed.
     Announce,
+}
+
+/// A Stop of the gateway's own.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct OwnStop {
+    /// Motion that it should stop; `None` if there is none, for example while a script moves the fingers.
+    pub motion: Option<CommandId>,
+    /// Number of Stops that may follow if this one fails.
+    left: u8,
+}
+
+impl OwnStop {
+    pub(super) fn new(motion: Option<CommandId>) -> Self {
+        Self { motion, left: REPEATED_STOPS }
+    }
+
+    /// The Stop to send if this one has failed; `None` after the last.
+    pub(super) fn again(self) -> Option<Self> {
+        Some(Self { left: self.left.checked_sub(1)?, ..self })
+    }
 }
 
 /// A pending request of a client that moves nothing.
@@ -80,6 +99,9 @@ pub(super) struct Exchange {
 
 /// Rejection of a request that the session did not accept, and the request's purpose.
 pub(super) type NotSubmitted = Box<(Rejection, Purpose)>;
+
+/// Number of Stops of the gateway's own after one that has failed.
+const REPEATED_STOPS: u8 = 2;
 
 #[derive(Debug)]
 enum LinkState {
@@ -373,45 +395,23 @@ impl DeviceLink {
 
     /// Sends a Stop of the gateway's own, unless a Stop is waiting to be written. This keeps room in the queue for
     /// clients' Stops.
-    pub(super) fn send_stop(&mut self, now: Now) {
-        if !self.has_waiting_stop() {
-            let _ = self.submit(now, Command::Stop, Purpose::Stop(None));
-            return;
+    pub(super) fn send_stop(&mut self, now: Now, stop: OwnStop) {
+        if !self.session.as_ref().is_some_and(|session| session.has_waiting(id::STOP)) {
+            let _ = self.submit(now, Command::Stop, Purpose::OwnStop(stop));
         }
-        // The waiting Stop has a second reason now.
-        for purpose in self.purposes.values_mut().filter(|purpose| matches!(purpose, Purpose::Cancel)) {
-            *purpose = Purpose::Stop(None);
-        }
-    }
-
-    /// Sends a Stop of the gateway's own that only a cancelled motion needs, unless a Stop is waiting to be written.
-    pub(super) fn send_cancel(&mut self, now: Now) {
-        if !self.has_waiting_stop() {
-            let _ = self.submit(now, Command::Stop, Purpose::Cancel);
-        }
-    }
-
-    fn has_waiting_stop(&self) -> bool {
-        self.session.as_ref().is_some_and(|session| session.has_waiting(id::STOP))
-    }
-
-    /// Withdraws Stops for a cancelled motion that wait to be written, because they would stop the next motion.
-    pub(super) fn withdraw_cancels(&mut self) {
-        let Some(session) = &mut self.session else { return };
-        self.purposes.retain(|token, purpose| !(matches!(purpose, Purpose::Cancel) && session.withdraw(*token)));
     }
 
     /// Sends a repeated Stop, unless a Stop is pending. There is nothing to stop, as far as known.
     pub(super) fn stop_again(&mut self, now: Now) {
-        if !self.purposes.values().any(|purpose| matches!(purpose, Purpose::Stop(_))) {
-            let _ = self.submit(now, Command::Stop, Purpose::Stop(None));
+        if !self.purposes.values().any(|purpose| matches!(purpose, Purpose::Stop(_) | Purpose::OwnStop(_))) {
+            self.send_stop(now, OwnStop::new(None));
         }
     }
 
     /// The newest pending Stop of a client.
     pub(super) fn newest_stop(&self) -> Option<CommandId> {
         self.purposes.values().rev().find_map(|purpose| match purpose {
-            Purpose::Stop(id) => *id,
+            Purpose::Stop(id) => Some(*id),
             _ => None,
         })
     }

@@ -6,7 +6,7 @@ use super::super::Now;
 use super::super::error::{Conflict, DeviceRefusal, Failure, MotionError, Rejection};
 use super::super::model::{AcceptedWidths, Client, CommandId, CommandReport, Kind, Motion, Outcome};
 use super::super::observed::HeldPart;
-use super::link::{NotSubmitted, Purpose};
+use super::link::{NotSubmitted, OwnStop, Purpose};
 use super::running::{Running, Settling, Stage, outcome_of, result_within};
 use super::{Actor, REPLY_WITHIN};
 use crate::wsg::session::End;
@@ -107,10 +107,6 @@ impl Actor {
             }
         };
         running.stage = Stage::Settling(Settling { outcome, status, since: now.instant });
-        // A script can move the fingers after its reply.
-        if status == Some(Status::E_CMD_ABORTED) && !matches!(running.motion, Motion::Custom(_)) {
-            self.link.withdraw_cancels();
-        }
     }
 
     pub(super) fn end_settled_motion(&mut self, now: Now) {
@@ -123,7 +119,13 @@ impl Actor {
     pub(super) fn end_running(&mut self, now: Now, unwritten: bool) {
         let Some(mut running) = self.motion.finish(now.instant, self.settings.stroke_mm()) else { return };
         let (outcome, status) = match running.stage {
-            Stage::Settling(Settling { outcome, status, .. }) => (outcome, status),
+            Stage::Settling(Settling { outcome, status, since }) => {
+                // Without newer flags, the fingers may be moving.
+                if outcome == Outcome::Unknown && !self.observed.has_newer_flags(since) {
+                    self.motion.lose_sight();
+                }
+                (outcome, status)
+            }
             // The motion may have happened.
             Stage::Sent(_) if !unwritten => {
                 self.motion.lose_sight();
@@ -201,7 +203,22 @@ impl Actor {
         }
         self.withdraw_waiting_motion(now);
         if self.motion.running.is_some() {
-            self.link.send_cancel(now);
+            self.link.send_stop(now, OwnStop::new(Some(id)));
+        }
+    }
+
+    /// Repeats a Stop of the gateway's own that has failed, while the motion that it should stop is under way.
+    pub(super) fn own_stop_ended(&mut self, now: Now, stop: OwnStop, end: &End) {
+        let has_stopped = matches!(end, End::Reply(Reply::Success(_))) || self.latch.id().is_some();
+        // Without a motion of its own, the Stop could stop somebody else's script.
+        let is_wanted = stop.motion.is_some() && self.motion.id() == stop.motion && self.motion.is_under_way();
+        if has_stopped || !is_wanted {
+            return;
+        }
+        if let Some(again) = stop.again() {
+            self.link.send_stop(now, again);
+        } else {
+            tracing::warn!(gripper = %self.config.name, ?end, "the gripper did not stop");
         }
     }
 
@@ -217,7 +234,8 @@ impl Actor {
             }
             end => {
                 // A Stop that was written but not answered may still have happened.
-                let unknown = matches!(end, End::Unanswered { written: true, .. } | End::NoResult { .. });
+                let unknown =
+                    matches!(end, End::Unanswered { written: true, .. } | End::NoResult { .. } | End::Invalid(_));
                 let outcome = if unknown { Outcome::Unknown } else { Outcome::Refused };
                 let rejection = self.rejection_of("Stop", end);
                 self.end_rejected(now, id, outcome, rejection);
@@ -297,6 +315,8 @@ fn unanswered(command: &'static str, end: &End) -> Failure {
         End::Invalid(invalid) => return Failure::DeviceProtocol { command, detail: invalid.to_string() },
         End::Unanswered { written: false, .. } => return Failure::NotSent { command },
         End::Unanswered { waited, .. } => waited.as_millis() as u64,
+        // Acceptance gives a Stop no more time.
+        End::NoResult { .. } if command == "Stop" => REPLY_WITHIN.as_millis() as u64,
         End::NoResult { .. } | End::Reply(_) => super::RESULT_WITHIN.as_millis() as u64,
     };
     Failure::DeviceTimeout { command, waited_ms }

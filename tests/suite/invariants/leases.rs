@@ -280,6 +280,19 @@ fn open_request_keeps_the_lease_during_a_long_motion() {
 }
 
 #[test]
+fn time_to_live_begins_with_the_end_of_a_request_whose_notice_is_late() {
+    let mut world = homed();
+    let a = token(&mut world, wish("plc"));
+    let running = submit_with(&mut world, move_to(85.0, 5.0), a).unwrap();
+    world.advance(TTL + Duration::from_millis(500));
+    drop(running);
+    let now = world.clock();
+    world.actor.handle_timeout(now);
+    assert_eq!(lease(&mut world).expires_in_ms, Some(500));
+    assert_eq!(state(&world).fast_stop, Some(false));
+}
+
+#[test]
 fn stall_of_the_gateway_extends_the_lease_once() {
     let mut world = homed();
     token(&mut world, wish("a"));
@@ -345,6 +358,19 @@ fn hand_over_aborts_a_waiting_motion() {
     assert_eq!(waiting.now().outcome, Some(Outcome::Aborted));
     world.advance(Duration::from_secs(1));
     assert_eq!(received(&world, from), NOTHING);
+}
+
+#[test]
+fn motion_that_has_not_started_does_not_start_under_anothers_lease() {
+    for (holder, outcome) in [(client(), None), (Client::new("other", Door::Http), Some(Outcome::Aborted))] {
+        let mut world = homed();
+        let first = start(&mut world, move_to(80.0, 200.0));
+        finish(&mut world, &first);
+        // A motion waits in the pause after the one before.
+        let waiting = start(&mut world, move_to(5.0, 10.0));
+        take(&mut world, TakeLease { client: holder, ..wish("a") }).unwrap();
+        assert_eq!(waiting.now().outcome, outcome);
+    }
 }
 
 #[test]

@@ -59,6 +59,8 @@ pub struct Leases {
     current: Option<Current>,
     /// Open requests of the holder.
     open: Vec<Ticket>,
+    /// Whether a request of the holder was answered at once, which the gateway has not been told.
+    is_answered: bool,
     /// Number of driver connections so far.
     drivers: usize,
     /// Tokens of the drivers that have used a script.
@@ -338,10 +340,10 @@ impl Leases {
         }
         if let (Some(used), true) = (world.leases.current.as_mut(), right && token.is_some()) {
             used.used = world.now;
-            if let Ok(ticket) = result
-                && world.rng.random_bool(0.5)
-            {
-                world.leases.open.push(ticket.clone());
+            if let Ok(ticket) = result {
+                let stays_open = world.rng.random_bool(0.5);
+                world.leases.open.extend(stays_open.then(|| ticket.clone()));
+                world.leases.is_answered |= !stays_open;
             }
         }
     }
@@ -359,7 +361,7 @@ impl Leases {
         Self::notice_claim(world);
         let before = world.leases.open.len();
         world.leases.open.retain(|ticket| ticket.now().phase == Phase::Running);
-        if world.leases.open.len() < before {
+        if world.leases.open.len() < before || std::mem::take(&mut world.leases.is_answered) {
             if let Some(current) = &mut world.leases.current {
                 current.used = world.now;
             }
@@ -379,6 +381,10 @@ impl Leases {
     fn closed<T>(world: &mut World, open: T) {
         drop(open);
         let now = world.clock();
+        if world.rng.random_bool(0.2) {
+            // Other work comes before the notice.
+            world.actor.handle_timeout(now);
+        }
         world.actor.lease_request_closed(now);
     }
 
@@ -435,8 +441,8 @@ impl Leases {
         let is_long = world.now >= since + KNOWN_AFTER;
         let is_heard = state.updated_at.is_some_and(|at| world.now < at + HEARD_WITHIN);
         let reported = state.moving.filter(|_| state.moving == fingers.reported_moving);
-        // If the link was lost, the last motion may continue.
-        let stands = !fingers.runs && state.command.is_none() && has_link(&state);
+        // If the link was lost or the device is silent, the last motion may continue.
+        let stands = !fingers.runs && state.command.is_none() && has_link(&state) && is_heard;
         let is_steered = fingers.streamed.is_some_and(|at| world.now < at + STREAM_LASTS);
         match (moves && is_long && is_heard, reported) {
             (true, _) => Some(true),

@@ -51,9 +51,8 @@ fn failed_motion_says_why() {
     }
 }
 
-/// Cancels a motion twice, of which the second Stop waits for the reply to the first. Returns the number of Stops sent
-/// after the device has ended the motion.
-fn stops_of_two_cancels(meanwhile: impl FnOnce(&mut Rig)) -> usize {
+#[test]
+fn waiting_stop_goes_before_the_next_motion() {
     let mut rig = Rig::connected(config(TCP));
     rig.device.held.insert(id::STOP);
     let (cancelled, _) = release(&mut rig);
@@ -64,22 +63,84 @@ fn stops_of_two_cancels(meanwhile: impl FnOnce(&mut Rig)) -> usize {
         rig.exchange();
     }
     assert_eq!(rig.count(id::STOP), 1);
-    meanwhile(&mut rig);
     rig.reply(id::RELEASE, Status::E_CMD_ABORTED, &[]);
     rig.pass(60);
     release(&mut rig);
+    assert_eq!(rig.count(id::RELEASE), 1, "the motion waits for the second Stop");
+    rig.device.held.clear();
     rig.reply(id::STOP, Status::E_SUCCESS, &[]);
     rig.exchange();
-    assert_eq!(rig.count(id::RELEASE), 2);
-    rig.count(id::STOP)
+    let ids: Vec<_> = rig.device.received.iter().map(|(id, _)| *id).collect();
+    assert!(rig.count(id::STOP) == 2 && ids.ends_with(&[id::STOP, id::RELEASE]), "{ids:?}");
 }
 
 #[test]
-fn second_cancel_does_not_stop_the_next_motion() {
-    assert_eq!(stops_of_two_cancels(|_| ()), 1);
+fn own_stop_without_success_is_repeated() {
+    let mut rig = Rig::connected(config(TCP));
+    rig.device.held.insert(id::STOP);
+    let (cancelled, _) = release(&mut rig);
+    rig.reply(id::RELEASE, Status::E_CMD_PENDING, &[]);
+    let (answer, _) = oneshot::channel();
+    rig.actor.request(rig.now, ActorRequest::Cancel { id: cancelled, client: client(), answer });
+    rig.exchange();
+    for sent in 1..=3 {
+        assert_eq!(rig.count(id::STOP), sent);
+        rig.reply(id::STOP, Status::E_CHECKSUM_ERROR, &[]);
+        rig.exchange();
+    }
+    assert_eq!(rig.count(id::STOP), 3);
 }
 
 #[test]
-fn stop_with_another_reason_is_sent_after_a_cancelled_motion() {
-    assert_eq!(stops_of_two_cancels(|rig| rig.actor.link.send_stop(rig.now)), 2);
+fn own_stop_is_not_repeated_for_the_next_motion() {
+    let mut rig = Rig::connected(config(TCP));
+    rig.device.held.insert(id::STOP);
+    let (cancelled, _) = release(&mut rig);
+    rig.reply(id::RELEASE, Status::E_CMD_PENDING, &[]);
+    let (answer, _) = oneshot::channel();
+    rig.actor.request(rig.now, ActorRequest::Cancel { id: cancelled, client: client(), answer });
+    rig.exchange();
+    rig.reply(id::RELEASE, Status::E_CMD_ABORTED, &[]);
+    rig.pass(60);
+    release(&mut rig);
+    rig.reply(id::STOP, Status::E_CHECKSUM_ERROR, &[]);
+    rig.exchange();
+    assert_eq!((rig.count(id::STOP), rig.count(id::RELEASE)), (1, 2));
+}
+
+#[test]
+fn motion_without_any_sign_counts_as_moving_until_the_next_flags() {
+    let mut rig = Rig::connected(config(TCP));
+    rig.device.held.insert(id::LOOP);
+    let (_, ticket) = release(&mut rig);
+    for _ in 0..15 {
+        rig.pass(100);
+    }
+    assert_eq!(ticket.now().outcome, Some(Outcome::Unknown));
+    assert!(rig.actor.is_moving(rig.now.instant), "the device is silent");
+    let flags = rig.device.flags.bits().to_le_bytes();
+    rig.reply(id::GET_SYSTEM_STATE, Status::E_SUCCESS, &flags);
+    assert!(!rig.actor.is_moving(rig.now.instant));
+}
+
+#[test]
+fn stop_without_a_valid_result_is_unknown() {
+    for (reply, code) in [(&[0_u8][..], Code::DeviceProtocol), (&[26, 0], Code::DeviceTimeout)] {
+        let mut rig = Rig::connected(config(TCP));
+        rig.device.held.insert(id::STOP);
+        let id = rig.ids.command_id(rig.now.wall);
+        let submission = Submission { client: client(), action: Action::Stop, request_id: None, lease: None };
+        let mut answered = rig.request(|answer| ActorRequest::Submit { submission, id, answer });
+        let ticket = answered.try_recv().unwrap().unwrap();
+        let mut bytes = Vec::new();
+        frame::encode(id::STOP, reply, &mut bytes);
+        rig.actor.receive(rig.now, &bytes);
+        for _ in 0..11 {
+            rig.pass(100);
+        }
+        let command = ticket.now();
+        assert_eq!((command.outcome, command.code), (Some(Outcome::Unknown), Some(code)), "{:?}", command.detail);
+        let waits_long = command.detail.clone().unwrap_or_default().contains("30000");
+        assert!(!waits_long, "{:?}", command.detail);
+    }
 }
