@@ -95,6 +95,17 @@ impl Caller {
         self.client.label = given.filter(|_| !is_named).and_then(ClientLabel::new);
         self
     }
+
+    /// Leaves out an invalid lease, request id or wait, for a request that is executed in any case.
+    #[must_use]
+    pub fn without_mistakes(mut self) -> Self {
+        self.lease = Ok(self.lease.unwrap_or_default());
+        self.request_id = Ok(self.request_id.unwrap_or_default());
+        if let Wait::Ms { given, .. } = &mut self.wait {
+            given.take_if(|given| wait_ms(given).is_err());
+        }
+        self
+    }
 }
 
 impl Wait {

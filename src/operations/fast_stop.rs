@@ -22,10 +22,12 @@ use crate::gripper::model::{FastStopId, Reason, Urgency};
 pub const ONE: Operation =
     Operation::change("fast-stop", &Verb::POST, "/grippers/{gripper}/fast-stop", |call| reply(one(call)))
         .needs(Right::FastStop)
-        .urgent(Urgency::FastStop);
+        .urgent(Urgency::FastStop)
+        .despite_mistakes();
 pub const ALL: Operation = Operation::change("fast-stop", &Verb::POST, "/fast-stop", |call| reply(all(call)))
     .needs(Right::FastStop)
-    .urgent(Urgency::FastStop);
+    .urgent(Urgency::FastStop)
+    .despite_mistakes();
 pub const ACKNOWLEDGE: Operation =
     Operation::change("acknowledge", &Verb::POST, "/grippers/{gripper}/acknowledge", |call| reply(acknowledge(call)));
 

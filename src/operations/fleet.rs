@@ -23,7 +23,8 @@ pub const LIST: Operation = Operation::read("fleet", "/fleet", |call| ready(list
 pub const FAST_STOP: Operation =
     Operation::change("fleet.fast-stop", &Verb::POST, "/fleet/fast-stop", |call| reply(fast_stop(call)))
         .needs(Right::FastStop)
-        .urgent(Urgency::FastStop);
+        .urgent(Urgency::FastStop)
+        .despite_mistakes();
 
 pub const ACKNOWLEDGE: Operation =
     Operation::change("fleet.acknowledge", &Verb::POST, "/fleet/acknowledge", |call| reply(acknowledge(call)));

@@ -24,7 +24,8 @@ pub const RELEASE: Operation =
     Operation::command("release", "/grippers/{gripper}/release", |call| reply(submit::<Release>(call)));
 pub const STOP: Operation = Operation::command("stop", "/grippers/{gripper}/stop", |call| reply(submit::<Stop>(call)))
     .needs(Right::Stop)
-    .urgent(Urgency::Stop);
+    .urgent(Urgency::Stop)
+    .despite_mistakes();
 
 /// Parameters of a motion or of a stop.
 trait ActionFields: Sized {
@@ -231,7 +232,10 @@ impl ActionFields for Stop {
     const FALLBACK: Option<Action> = Some(Action::Stop);
 }
 
-async fn submit<P: ActionFields + KeyFields + DeserializeOwned>(call: Call) -> Result<OperationReply, Problem> {
+async fn submit<P: ActionFields + KeyFields + DeserializeOwned>(mut call: Call) -> Result<OperationReply, Problem> {
+    if P::FALLBACK.is_some() {
+        call.caller = call.caller.without_mistakes();
+    }
     let (gripper, wait) = (call.gripper()?, call.wait(DEFAULT_WAIT_MS)?);
     let parsed = parse::<P>(&call);
     let fallback = |problem| Ok::<_, Problem>((RequestKeys::default(), P::FALLBACK.ok_or(problem)?));

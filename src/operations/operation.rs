@@ -22,6 +22,8 @@ pub struct Operation {
     pub right: Right,
     /// Precedence over other requests.
     pub urgency: Urgency,
+    /// Whether a request is executed whatever it contains, because a mistake must not keep the fingers moving.
+    pub ignores_mistakes: bool,
     /// Whether the operation starts a command, whose end is reported later.
     pub starts_command: bool,
     /// Whether the operation can wait for a command's end.
@@ -51,6 +53,7 @@ impl Operation {
             path,
             right: Right::Operate,
             urgency: Urgency::None,
+            ignores_mistakes: false,
             starts_command: false,
             waits: false,
             query: &[],
@@ -90,6 +93,11 @@ impl Operation {
 
     pub(super) const fn urgent(self, urgency: Urgency) -> Self {
         Self { urgency, ..self }
+    }
+
+    /// Executes requests in spite of their mistakes.
+    pub(super) const fn despite_mistakes(self) -> Self {
+        Self { ignores_mistakes: true, ..self }
     }
 
     pub(super) fn start(&self, call: Call) -> BoxFuture<'static, Result<OperationReply, Problem>> {

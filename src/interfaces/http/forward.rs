@@ -26,7 +26,10 @@ use crate::gripper::model::{Door, Name, Reason, Urgency};
 use crate::interfaces::admission::{Class, ConnectionPermit};
 use crate::operations::fleet::no_answer;
 use crate::operations::json::{parse, text_member};
-use crate::operations::{Code, DEFAULT_WAIT_MS, OPERATIONS, Operation, Problem, QueryString, check, motion, wait_ms};
+use crate::operations::values::text;
+use crate::operations::{
+    Code, DEFAULT_WAIT_MS, MAX_LEASE_BYTES, OPERATIONS, Operation, Problem, QueryString, check, wait_ms,
+};
 
 /// Paths of the grippers of any gateway.
 pub const PATHS: [&str; 2] =
@@ -84,6 +87,9 @@ pub async fn forward(
     // The rights to one of this gateway's grippers say nothing about another gateway's gripper of the same name.
     check(&context.gateway.access, operation.right, &identified.identity, None)?;
     let (mut wait, mut aside) = (wait(&parts, operation)?, aside(&parts));
+    if operation.ignores_mistakes {
+        aside.retain(|(name, value)| text::<MAX_LEASE_BYTES>(name, value).is_ok());
+    }
     // The other gateway may not know the token, and a FAST STOP must not fail because of that.
     if operation.urgency != Urgency::FastStop
         && let Credential::Token(token) = &identified.visitor.credential
@@ -115,7 +121,9 @@ pub async fn forward(
         with_reason(stream, stop).await?
     } else {
         let mut params = fields_of(operation, stream, path).await?;
-        params.extend(QueryString::of(&parts.uri)?.fields(operation.query)?);
+        if !operation.query.is_empty() {
+            params.extend(QueryString::of(&parts.uri)?.fields(operation.query)?);
+        }
         ask(params).await
     };
     match asked {
@@ -132,7 +140,7 @@ async fn fields_of(
     path: BTreeMap<&'static str, String>,
 ) -> Result<Map<String, Value>, Problem> {
     let fields = fields(stream, path);
-    if operation.name == motion::STOP.name {
+    if operation.ignores_mistakes {
         return Ok(timeout(REASON_TIME, fields).await.ok().and_then(Result::ok).unwrap_or_default());
     }
     fields.await
@@ -204,7 +212,8 @@ fn wait(parts: &Parts, operation: &Operation) -> Result<Option<Duration>, Proble
     if !operation.waits {
         return Ok(None);
     }
-    let given = QueryString::of(&parts.uri)?.one("wait_ms")?.map(wait_ms).transpose()?;
+    let given = QueryString::of(&parts.uri).and_then(|query| query.one("wait_ms")?.map(wait_ms).transpose());
+    let given = if operation.ignores_mistakes { given.unwrap_or_default() } else { given? };
     Ok(given.or(operation.starts_command.then_some(DEFAULT_WAIT_MS)).map(Duration::from_millis))
 }
 
@@ -236,7 +245,7 @@ fn refused(status: u16, problem: &RawValue) -> Response {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::operations::commands;
+    use crate::operations::{commands, motion};
 
     #[test]
     fn only_a_started_command_is_accepted() {
@@ -246,6 +255,16 @@ mod tests {
             let response = answered(&"other".parse().unwrap(), operation, &running);
             assert_eq!(response.status(), status, "{}", operation.name);
             assert_eq!(response.headers().contains_key(header::LOCATION), status == 202, "{}", operation.name);
+        }
+    }
+
+    #[test]
+    fn forwarded_stop_ignores_an_invalid_wait() {
+        for query in ["wait_ms=soon", "wait_ms=1&wait_ms=2", "wait_ms=70000"] {
+            let request = Request::post(format!("/stop?{query}")).body(Stream::empty()).unwrap();
+            let (parts, _) = request.into_parts();
+            assert_eq!(wait(&parts, &motion::STOP).unwrap(), Some(Duration::from_millis(DEFAULT_WAIT_MS)), "{query}");
+            assert!(wait(&parts, &motion::HOME).is_err(), "{query}");
         }
     }
 

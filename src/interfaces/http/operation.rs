@@ -16,11 +16,11 @@ use super::context::{API, HttpContext};
 use super::fast_stop::with_reason;
 use super::visitor::Identified;
 use super::wait::ConnectionWaits;
-use crate::gripper::model::{Door, LeaseToken, Text, Urgency};
+use crate::gripper::model::{Door, LeaseToken, Text};
 use crate::operations::values::text;
 use crate::operations::{
     Caller, Effect, Fields, MAX_LEASE_BYTES, Operation, OperationReply, Params, Presence, Problem, QueryString, Wait,
-    motion, run,
+    run,
 };
 use crate::recipes::ExpectedVersion;
 
@@ -63,9 +63,7 @@ pub async fn serve_below(
     };
     // A Stop, too, happens whatever its body says and however long the body takes.
     let reply = match body {
-        RequestBody::Stream(stream)
-            if operation.urgency == Urgency::FastStop || operation.name == motion::STOP.name =>
-        {
+        RequestBody::Stream(stream) if operation.ignores_mistakes => {
             with_reason(stream, move |text| run(Fields::Text(text))).await??
         }
         // The body of a GET has no meaning (RFC 9110, 9.3.1).
@@ -100,7 +98,8 @@ async fn path(parts: &mut Parts, operation: &Operation) -> Result<BTreeMap<&'sta
 
 fn caller(identified: &Identified, parts: &Parts, operation: &Operation) -> Result<Caller, Problem> {
     let wait = if operation.waits {
-        let given = QueryString::of(&parts.uri)?.one("wait_ms")?.map(ToOwned::to_owned);
+        let given = QueryString::of(&parts.uri).and_then(|query| Ok(query.one("wait_ms")?.map(ToOwned::to_owned)));
+        let given = if operation.ignores_mistakes { given.unwrap_or_default() } else { given? };
         Wait::Ms { given, limiter: ConnectionWaits::of(&parts.extensions) }
     } else {
         Wait::No
@@ -180,6 +179,7 @@ mod tests {
 
     use super::*;
     use crate::access::Access;
+    use crate::operations::motion;
 
     fn parts(uri: &str, headers: &[(&str, &str)]) -> Parts {
         let mut request = Request::get(uri);

@@ -29,7 +29,7 @@ use crate::operations::records::RecordList;
 use crate::operations::values::{name, text};
 use crate::operations::{
     self, Caller, Code, Effect, Gateway, MAX_LEASE_BYTES, OperationReply, Presence, Problem, Wait, is_fast_stop, lease,
-    motion, named, statistics, teach, urgency,
+    named, statistics, teach, urgency,
 };
 
 /// Maximum number of concurrent FAST STOP queries of one gripper, each of which ends within 250 ms. More are refused,
@@ -228,17 +228,17 @@ impl Queries {
         let payload = query.payload().map(zenoh::bytes::ZBytes::to_bytes).unwrap_or_default();
         let given = |key| query.parameters().get(key).filter(|given| !given.is_empty()).map(decoded);
         let client_name = given(CLIENT).map(|given| name(CLIENT, &given)).transpose();
+        let ignores_mistakes = named(&method).any(|operation| operation.ignores_mistakes);
         let (mut params, client_name) = if is_fast_stop {
             (json::parse(&payload).unwrap_or_default(), client_name.unwrap_or_default())
-        } else if method == motion::STOP.name {
-            // An invalid Stop is executed too, so that the fingers do not keep moving.
+        } else if ignores_mistakes {
             (body(&payload).unwrap_or_default(), client_name.unwrap_or_default())
         } else {
             (body(&payload)?, client_name?)
         };
         if let Some(gripper) = gripper {
             let other = params.insert(GRIPPER.to_owned(), gripper.as_str().into());
-            if !is_fast_stop && other.is_some_and(|other| other != gripper.as_str()) {
+            if !ignores_mistakes && other.is_some_and(|other| other != gripper.as_str()) {
                 return Err(Problem::malformed(GRIPPER, "gripper differs from the gripper in the key"));
             }
         }
@@ -284,7 +284,8 @@ impl Queries {
         let is_command = named(&asked.method).any(|operation| operation.starts_command);
         let (holders, all) = match urgency(&asked.method) {
             Urgency::FastStop => {
-                let Ok(name) = gripper.parse() else { return self.fast_stop_all_places.clone() };
+                let name = gripper.parse().ok().filter(|name| self.gateway.grippers.get(name).is_some());
+                let Some(name) = name else { return self.fast_stop_all_places.clone() };
                 let mut places = self.fast_stop_places.lock().unwrap_or_else(PoisonError::into_inner);
                 return places.entry(name).or_insert_with(|| Arc::new(Semaphore::new(MAX_FAST_STOPS))).clone();
             }

@@ -116,6 +116,8 @@ async fn wildcard_query_moves_no_gripper() {
     let command = json!({"command": begun["id"]});
     let ended = rig.client.command("command?wait_ms=20000", &command).await.unwrap();
     assert_eq!((&ended["phase"], &ended["outcome"]), (&json!("done"), &json!("SUCCESS")));
+    let stopped = rig.client.command("stop?wait_ms=soon", &json!({"gripper": "other"})).await.unwrap();
+    assert_eq!(stopped["kind"], "stop");
     let stopped = rig.client.all("wsg/v1/*/*/command/fast-stop", "not JSON").await;
     assert_eq!(stopped[0].1.as_ref().unwrap()["fast_stop_confirmed"], true);
 }

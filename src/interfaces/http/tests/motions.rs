@@ -110,6 +110,19 @@ async fn malformed_stop_stops() {
         gateway.ask("POST", "/api/v1/grippers/left/stop", body).await;
         assert_eq!(gateway.action().await, Action::Stop, "{body}");
     }
+    for query in ["wait_ms=abc", "wait_ms=70000", "wait_ms=1&wait_ms=1", "wait_ms=%FF"] {
+        for path in ["/api/v1/grippers/left", "/api/v1/fleet/wsg/grippers/left"] {
+            gateway.ask("POST", &format!("{path}/stop?{query}"), "").await;
+            assert_eq!(gateway.action().await, Action::Stop, "{path} {query}");
+        }
+    }
+    let long = "x".repeat(65);
+    for (header, value) in [("Idempotency-Key", &*long), ("Wsg-Lease", &long), ("Wsg-Lease", "a\tb"), ("If-Match", "")]
+    {
+        let request = Request::post("/api/v1/grippers/left/stop").header(header::HOST, "localhost");
+        gateway.send(request.header(header, value).body(Body::empty()).unwrap()).await;
+        assert_eq!(gateway.action().await, Action::Stop, "{header}: {value}");
+    }
 }
 
 #[tokio::test]
