@@ -268,7 +268,13 @@ fn defaults() -> [(&'static str, Value); 16] {
 fn fast_stops_first() -> Value {
     json!({
         "messages": ["put", "query"],
-        "key_exprs": ["wsg/v1/fast-stop", "wsg/v1/*/fast-stop", "wsg/v1/*/*/command/fast-stop"],
+        "key_exprs": [
+            "wsg/v1/fast-stop",
+            "wsg/v1/*/fast-stop",
+            "wsg/v1/*/*/command/fast-stop",
+            "wsg/v1/*/command/fast-stop",
+            "wsg/v1/*/command/fleet.fast-stop",
+        ],
         "overwrite": {"priority": "real_time", "congestion_control": "block", "express": true},
         "flows": ["ingress", "egress"],
     })
