@@ -13,10 +13,11 @@ use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use futures_util::StreamExt as _;
 use futures_util::stream::{BoxStream, SelectAll};
+use futures_util::{FutureExt as _, StreamExt as _};
 use serde::{Deserialize, Serialize};
 use tokio::sync::watch;
+use tokio::task::coop::unconstrained;
 use utoipa::ToSchema;
 
 use crate::alarms::Alarms;
@@ -26,6 +27,7 @@ use crate::gripper::{GripperChanges, Grippers, Handle, Now};
 use crate::journal::{Journal, Stored};
 use fleet::FleetNews;
 use notification::Recent;
+use queued::EventPosition;
 
 pub use notification::{Notification, encoded, text_frame};
 pub use pace::Pace;
@@ -112,8 +114,11 @@ impl LiveUpdates {
     ) -> Subscription {
         let topics: BTreeSet<_> = topics.into_iter().collect();
         let mut queued: SelectAll<BoxStream<'static, Notification>> = SelectAll::new();
+        let mut event_position = None;
         if topics.contains(&Topic::Events) {
-            queued.push(queued::events(self.clone(), grippers.cloned()).boxed());
+            let (events, position) = queued::events(self.clone(), grippers.cloned());
+            queued.push(events.boxed());
+            event_position = Some(position);
         }
         if topics.contains(&Topic::Grips) {
             queued.push(queued::grips(self, grippers.cloned()).boxed());
@@ -125,6 +130,7 @@ impl LiveUpdates {
             watched: Vec::new(),
             fleet_seq: 0,
             alarms_seq: None,
+            event_position,
             topics,
             queued,
         };
@@ -201,6 +207,8 @@ pub struct Subscription {
     fleet_seq: u64,
     /// Number of the alarms' change that was sent last.
     alarms_seq: Option<u64>,
+    /// Position in the events, if they are subscribed to.
+    event_position: Option<EventPosition>,
     topics: BTreeSet<Topic>,
     queued: SelectAll<BoxStream<'static, Notification>>,
 }
@@ -283,6 +291,35 @@ impl Subscription {
             updates.extend(self.updates.alarms_since(&mut self.alarms_seq));
         }
         (updates, dropped)
+    }
+
+    /// Returns the number of the event after which the next ones are sent.
+    #[must_use]
+    pub fn event_seq(&self) -> i64 {
+        self.event_position.as_ref().map_or_else(|| self.updates.journal.last_seq(), EventPosition::get)
+    }
+
+    /// Returns what waits to be sent when another subscription replaces this one: events up to the successor's first, or a
+    /// gap in their place, and grip records. Frames are left out: the successor's begin at once.
+    pub fn rest(&mut self, successor: &Self) -> Vec<Notification> {
+        let mut rest = Vec::new();
+        let (Some(position), Some(begin)) = (self.event_position.clone(), &successor.event_position) else {
+            return rest;
+        };
+        let begin = begin.get();
+        while let Some(update) = unconstrained(self.next()).now_or_never() {
+            let is_due = match update.method() {
+                "event" => position.get() <= begin,
+                method => matches!(method, "gap" | "grip"),
+            };
+            rest.extend(is_due.then_some(update));
+        }
+        let seq = position.get();
+        let missed = (begin - seq).try_into().unwrap_or_default();
+        if missed > 0 {
+            rest.extend(Notification::new("gap", &Gap::of_events(seq, missed)));
+        }
+        rest
     }
 
     /// Returns the next event, frame or gap. Cancel-safe.

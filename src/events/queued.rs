@@ -3,6 +3,7 @@
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, Ordering};
 
 use futures_util::stream::{Stream, unfold};
 use serde::Serialize;
@@ -49,36 +50,52 @@ async fn next<T: Clone>(receiver: &mut Receiver<T>) -> Option<Result<T, u64>> {
     }
 }
 
-/// Streams the events of some grippers, or of all, from now on.
+/// Number of the last event that a subscription was sent, was told to have missed, or does not want.
+#[derive(Debug, Clone)]
+pub(super) struct EventPosition(Arc<AtomicI64>);
+
+impl EventPosition {
+    pub(super) fn get(&self) -> i64 {
+        self.0.load(Ordering::Relaxed)
+    }
+
+    fn set(&self, seq: i64) {
+        self.0.store(seq, Ordering::Relaxed);
+    }
+}
+
+/// Streams the events of some grippers, or of all, from now on. Also returns the position of the stream.
 pub(super) fn events(
     updates: Arc<LiveUpdates>,
     only: Option<BTreeSet<Name>>,
-) -> impl Stream<Item = Notification> + Send + 'static {
+) -> (impl Stream<Item = Notification> + Send + 'static, EventPosition) {
     // Subscribes before it reads the newest number: events between the two are skipped below, not lost.
     let receiver = updates.journal.subscribe();
-    let last = updates.journal.last_seq();
-    unfold((receiver, last), move |(mut receiver, mut last)| {
+    let position = EventPosition(Arc::new(updates.journal.last_seq().into()));
+    let stream = unfold((receiver, position.clone()), move |(mut receiver, position)| {
         let (updates, only) = (updates.clone(), only.clone());
         async move {
             loop {
+                let last = position.get();
                 let event = match next(&mut receiver).await? {
                     Ok(event) if event.seq <= last => continue,
                     Ok(event) => event,
                     Err(missed) => {
+                        position.set(last + missed.cast_signed());
                         let gap = Gap::of_events(last, missed);
-                        last += missed.cast_signed();
-                        return Some((Notification::new("gap", &gap)?, (receiver, last)));
+                        return Some((Notification::new("gap", &gap)?, (receiver, position)));
                     }
                 };
-                last = event.seq;
+                position.set(event.seq);
                 let is_wanted =
                     only.as_ref().is_none_or(|only| event.gripper.as_ref().is_some_and(|name| only.contains(name)));
                 if is_wanted && let Some(update) = updates.event(&event) {
-                    return Some((update, (receiver, last)));
+                    return Some((update, (receiver, position)));
                 }
             }
         }
-    })
+    });
+    (stream, position)
 }
 
 /// Streams new and changed grip records of some grippers, or of all with `None`, from now on.

@@ -1,6 +1,5 @@
 //! Updates that subscribers get, and those that they don't.
 
-use futures_util::FutureExt as _;
 use serde_json::Value;
 
 use super::*;
@@ -57,6 +56,45 @@ async fn slow_subscriber_gets_a_gap_with_the_number_of_missed_events() {
         assert_eq!(body(&subscription.next().await)["seq"], expected);
     }
     assert!(subscription.next().now_or_never().is_none());
+}
+
+#[tokio::test]
+async fn new_subscription_loses_no_event() {
+    let (updates, journal) = updates();
+    let only = BTreeSet::from(["left".parse().unwrap()]);
+    let mut replaced = updates.subscribe(Some(&only), [Topic::Events]);
+    let first = replaced.event_seq();
+    for gripper in ["left", "right", "left", "right"] {
+        record(&journal, Some(gripper));
+    }
+    until(&journal, first + 4).await;
+    let mut successor = updates.subscribe(None, [Topic::Events]);
+    assert_eq!(successor.event_seq(), first + 4);
+    record(&journal, Some("left"));
+    until(&journal, first + 5).await;
+    let seqs = |updates: &[Notification]| -> Vec<_> {
+        updates.iter().map(|update| (update.method(), body(update)["seq"].as_i64().unwrap() - first)).collect()
+    };
+    assert_eq!(seqs(&replaced.rest(&successor)), [("event", 1), ("event", 3)]);
+    assert_eq!(seqs(&[successor.next().await]), [("event", 5)]);
+
+    let mut replaced = updates.subscribe(None, [Topic::Events]);
+    for recorded in 6..=305 {
+        record(&journal, None);
+        until(&journal, first + recorded).await;
+    }
+    let successor = updates.subscribe(None, [Topic::Events]);
+    assert_eq!(seqs(&replaced.rest(&successor)), (6..=305).map(|seq| ("event", seq)).collect::<Vec<_>>());
+
+    // Without its receiver, the events can no longer be sent.
+    let mut replaced = updates.subscribe(None, [Topic::Events]);
+    for recorded in 306..=308 {
+        record(&journal, None);
+        until(&journal, first + recorded).await;
+    }
+    replaced.queued.clear();
+    let gaps = replaced.rest(&updates.subscribe(None, [Topic::Events]));
+    assert_eq!((seqs(&gaps), &body(&gaps[0])["missed"]), (vec![("gap", 305)], &3.into()));
 }
 
 #[tokio::test]

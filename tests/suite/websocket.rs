@@ -1,5 +1,7 @@
 //! WebSocket: requests and answers, updates, and slow or lost clients.
 
+use std::collections::BTreeSet;
+
 use serde_json::{Value, json};
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
@@ -82,6 +84,39 @@ async fn subscription_starts_with_states_and_continues_with_changes() {
     socket.call("subscribe", json!({"topics": []})).await;
     socket.drop_queued();
     assert!(socket.is_silent_for(std::time::Duration::from_millis(300)).await);
+}
+
+#[tokio::test]
+async fn events_continue_when_a_socket_subscribes_again() {
+    let (_device, gateway) = connected().await;
+    let mut socket = Socket::open(&gateway).await;
+    let subscribe = json!({"topics": ["events"]});
+    let first = socket.call("subscribe", subscribe.clone()).await["event_seq"].as_i64().unwrap();
+    let mut last = first;
+    for _ in 0..30 {
+        let mut open = BTreeSet::new();
+        for _ in 0..8 {
+            open.insert(socket.begin("lease.take", json!({"gripper": "g", "force": true})).await);
+            open.insert(socket.begin("subscribe", subscribe.clone()).await);
+        }
+        while !open.is_empty() {
+            let message = socket.next().await.expect("a message");
+            let update = &message["params"];
+            if message["method"] == "event" {
+                assert_eq!(update["seq"].as_i64(), Some(last + 1), "{message}");
+                last += 1;
+            } else if message["method"] == "gap" {
+                // An event becomes durable a moment before it is sent.
+                assert_eq!(update["seq"].as_i64(), Some(last), "{message}");
+                last += update["missed"].as_i64().unwrap();
+            } else {
+                open.remove(&message["id"].as_u64().unwrap());
+                let event_seq = message["result"]["event_seq"].as_i64();
+                assert!(event_seq.is_none_or(|seq| seq == last), "{message} after event {last}");
+            }
+        }
+    }
+    assert!(last > first + 100, "{last} after {first}");
 }
 
 #[tokio::test]

@@ -53,9 +53,8 @@ pub fn subscribe(gateway: &Gateway, params: &Value) -> Result<(Subscribed, Follo
     let Subscribe { grippers, topics, max_hz } = json::parse(params.to_string().as_bytes())?;
     let names = grippers.map(|names| names.iter().map(|name| known(gateway, name)).collect()).transpose()?;
     let max_hz = max_hz.map_or(Ok(DEFAULT_HZ), |number| integer("max_hz", number, 1..=MAX_HZ))?;
-    let event_seq = gateway.journal.last_seq();
     let mut updates = gateway.updates.subscribe(names.as_ref(), topics.iter().copied());
-    let states = updates.snapshot();
+    let (event_seq, states) = (updates.event_seq(), updates.snapshot());
     Ok((Subscribed { topics, max_hz, event_seq, states }, Following { updates, max_hz }))
 }
 

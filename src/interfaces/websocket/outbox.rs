@@ -58,15 +58,19 @@ impl Outbox {
     }
 
     pub fn push(&self, frames: Bytes) {
-        let mut queue = self.queue();
-        queue.count(frames.len() + ENTRY_BYTES, 0);
-        queue.items.push_back(Item::Frames(frames));
-        drop(queue);
+        self.queue().push(frames);
         self.news.notify_one();
     }
 
-    pub fn follow(&self, following: Following) {
-        self.queue().items.push_back(Item::Follow(following));
+    /// Queues a new subscription, and its answer: after the rest of the replaced subscription, and before the first update
+    /// of the new one.
+    pub fn follow(&self, following: Following, answer: Option<Bytes>) {
+        let mut queue = self.queue();
+        queue.items.push_back(Item::Follow(following));
+        if let Some(answer) = answer {
+            queue.push(answer);
+        }
+        drop(queue);
         self.news.notify_one();
     }
 
@@ -121,6 +125,11 @@ impl Outbox {
 }
 
 impl Queue {
+    fn push(&mut self, frames: Bytes) {
+        self.count(frames.len() + ENTRY_BYTES, 0);
+        self.items.push_back(Item::Frames(frames));
+    }
+
     fn count(&mut self, more: usize, less: usize) {
         self.bytes = self.bytes + more - less;
         if let Some(held) = &mut self.held {

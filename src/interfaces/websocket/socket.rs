@@ -424,8 +424,12 @@ impl Socket {
         self.under_way -= done.requests;
         self.request_bytes -= done.bytes;
         self.count();
-        if let Some(answer) = done.answer {
-            self.outbox.push(text_frame(answer));
+        let answer = done.answer.map(text_frame);
+        if let Some(following) = done.following {
+            self.is_subscribed = true;
+            self.outbox.follow(following, answer);
+        } else if let Some(answer) = answer {
+            self.outbox.push(answer);
         }
         for mut ticket in done.running {
             if self.running.len() < MAX_COMMANDS {
@@ -435,10 +439,6 @@ impl Socket {
         for lease in done.leases {
             let pin = self.permit.as_ref().and_then(|permit| permit.claim(Class::Pinned));
             self.leases.insert(lease.gripper().clone(), (lease, pin));
-        }
-        if let Some(following) = done.following {
-            self.is_subscribed = true;
-            self.outbox.follow(following);
         }
     }
 }

@@ -37,8 +37,9 @@ impl Writer {
                 item = self.outbox.next() => match item {
                     None => return Ok(()),
                     Some(Item::Follow(Following { updates, max_hz })) => {
+                        let rest = self.following.as_mut().map(|(replaced, _)| replaced.rest(&updates));
                         self.following = Some((updates, Pace::new(max_hz as u32)));
-                        continue;
+                        rest.unwrap_or_default()
                     }
                     Some(Item::Frames(frames)) => {
                         let more = std::iter::from_fn(|| self.outbox.next_frames());
