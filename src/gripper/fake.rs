@@ -181,7 +181,7 @@ impl Actor {
                 self.lease.end(token.as_ref());
                 let _ = answer.send(self.lease.view(clock::instant(), None));
             }
-            ActorRequest::LoseLease { token, times_taken } => {
+            ActorRequest::LoseLease { token, times_taken, .. } => {
                 self.lease.lose(&token, times_taken);
             }
             ActorRequest::Drain { answer } | ActorRequest::Reconfigure { answer, .. } => {

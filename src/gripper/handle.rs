@@ -14,7 +14,7 @@ use super::info::Info;
 use super::lease::LeaseKeepAlive;
 use super::model::{
     Action, Client, CommandId, CommandReport, CustomIds, FastStopCause, FastStopId, Fault, Lease, LeaseToken, Link,
-    Name, Phase, Reason, RequestId, State, Submission, TakeLease, WireRecord,
+    LossCause, Name, Phase, Reason, RequestId, State, Submission, TakeLease, WireRecord,
 };
 use crate::wsg;
 
@@ -47,7 +47,7 @@ pub enum ActorRequest {
     RenewLease { token: Option<LeaseToken>, answer: Answer<Lease> },
     HandOver { token: Option<LeaseToken>, to: String, new: LeaseToken, answer: Answer<Lease> },
     ReleaseLease { token: Option<LeaseToken>, answer: oneshot::Sender<Lease> },
-    LoseLease { token: LeaseToken, times_taken: Option<u64> },
+    LoseLease { token: LeaseToken, times_taken: Option<u64>, cause: LossCause },
     Disconnect { client: Client, lease: Option<LeaseToken>, answer: Answer<()> },
     Connect { client: Client, lease: Option<LeaseToken>, answer: Answer<()> },
     Drain { answer: oneshot::Sender<()> },
@@ -337,9 +337,9 @@ impl Handle {
 
     /// Reports that the holder of this token was lost. With `times_taken`, the report counts only if the lease was not
     /// taken again since.
-    pub async fn lose_lease(&self, token: LeaseToken, times_taken: Option<u64>) {
+    pub async fn lose_lease(&self, token: LeaseToken, times_taken: Option<u64>, cause: LossCause) {
         // An actor that has ended has disconnected from its device.
-        let _ = self.requests.send(ActorRequest::LoseLease { token, times_taken }).await;
+        let _ = self.requests.send(ActorRequest::LoseLease { token, times_taken, cause }).await;
     }
 
     /// Requests a FAST STOP. Waits only for the device's confirmation, and at most [`FAST_STOP_WAIT`].

@@ -95,8 +95,14 @@ impl Call {
         let Caller { client, lease, request_id, presence, .. } = self.caller.clone();
         // Operations that need no request id refuse an invalid one, too.
         let lease = lease.and_then(|lease| request_id.map(|_| lease));
-        let used = lease.as_ref().ok().and_then(Option::as_ref).map(|lease| LeaseUse::begin(&handle, lease, presence));
+        let token = lease.as_ref().ok().and_then(Option::as_ref).filter(|_| self.may_operate(&name));
+        let used = token.map(|lease| LeaseUse::begin(&handle, lease, presence));
         Ok(Gripper { handle, client, lease, used, presence })
+    }
+
+    /// Whether the caller may still move the gripper; otherwise its requests do not keep the lease.
+    fn may_operate(&self, gripper: &Name) -> bool {
+        self.caller.identity.as_ref().is_ok_and(|identity| identity.may(Right::Operate, Some(gripper)))
     }
 
     /// Checks that the caller has a further right.

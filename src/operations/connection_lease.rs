@@ -1,6 +1,6 @@
 //! A lease that ends with its client's connection.
 
-use crate::gripper::model::{Lease, LeaseToken, Name};
+use crate::gripper::model::{Lease, LeaseToken, LossCause, Name};
 use crate::gripper::{Handle, LeaseKeepAlive};
 
 /// An acquired lease, tracked by interfaces that notice when their client is gone. HTTP does not notice this, and drops
@@ -48,7 +48,7 @@ impl ConnectionLease {
 
     /// Reports that the client is lost. Changes nothing if the lease was released, taken again elsewhere, or belongs to
     /// another client.
-    pub async fn lose(&self) {
-        self.handle.lose_lease(self.token.clone(), Some(self.takes)).await;
+    pub async fn lose(&self, cause: LossCause) {
+        self.handle.lose_lease(self.token.clone(), Some(self.takes), cause).await;
     }
 }

@@ -6,7 +6,7 @@ import { tmpdir } from 'node:os';
 import { join } from 'node:path';
 import { test } from 'node:test';
 
-import { browser, gateway, started, token, visit } from './harness.mjs';
+import { browser, gateway, started, token, until, visit } from './harness.mjs';
 
 const launched = await browser();
 
@@ -69,7 +69,11 @@ test("a PIN adds a person's rights to a panel until it is locked", async () => {
   await enter(pin);
   await page.waitForSelector('#take-control');
   assert.match(await page.locator('.signed-in').innerText(), /berta \(operator\)/);
+  const holder = async () => (await served.ask('GET', 'grippers/left/state')).lease_holder;
+  await page.click('#take-control');
+  await until('the page has control', async () => (await holder()) !== null);
   await page.click('#lock');
   await page.waitForSelector('#enter-pin');
   assert.equal(await page.locator('#take-control').count(), 0);
+  await until('the lease ends with the rights', async () => (await holder()) === null);
 });

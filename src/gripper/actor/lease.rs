@@ -122,11 +122,11 @@ impl Actor {
         self.lease_now(now)
     }
 
-    /// Takes the end of the connection that the lease was bound to, without a release.
-    pub(super) fn lose_lease(&mut self, now: Now, token: &LeaseToken, times_taken: Option<u64>) {
+    /// Takes the loss of the holder, without a release.
+    pub(super) fn lose_lease(&mut self, now: Now, token: &LeaseToken, times_taken: Option<u64>, cause: LossCause) {
         self.script_client_lost(now, token);
         if let Some(held) = self.lease.lose(token, times_taken) {
-            self.holder_lost(now, &held, LossCause::Disconnected);
+            self.holder_lost(now, &held, cause);
         }
     }
 
@@ -162,7 +162,7 @@ impl Actor {
     fn holder_lost(&mut self, now: Now, held: &HeldLease, cause: LossCause) {
         let last_heard = match cause {
             LossCause::Expired => now.instant.checked_sub(held.terms.ttl).unwrap_or(now.instant),
-            LossCause::Disconnected => now.instant,
+            LossCause::Disconnected | LossCause::Forbidden => now.instant,
         };
         let effect = self.loss_effect(held.terms, last_heard);
         let name = &held.holder.name;

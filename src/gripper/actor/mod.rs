@@ -254,7 +254,7 @@ impl Actor {
                 let released = self.release_lease(now, token.as_ref());
                 self.answers.add(answer, released);
             }
-            ActorRequest::LoseLease { token, times_taken } => self.lose_lease(now, &token, times_taken),
+            ActorRequest::LoseLease { token, times_taken, cause } => self.lose_lease(now, &token, times_taken, cause),
             ActorRequest::Disconnect { client, lease, answer } => {
                 self.disconnect(now, &client, lease.as_ref(), answer);
             }

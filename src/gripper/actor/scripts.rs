@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use super::super::Now;
 use super::super::error::Rejection;
-use super::super::model::{Client, LeaseToken, TakeLease};
+use super::super::model::{Client, LeaseToken, LossCause, TakeLease};
 use super::Actor;
 use super::link::{Exchange, Purpose};
 use crate::wsg::session::{End, SCRIPT_REPLIES_WITHIN, Token};
@@ -154,7 +154,7 @@ impl Actor {
         }
         let is_taken = self.try_take_lease(now, &TakeLease::by(client), token.clone()).is_ok();
         match end {
-            Some(ClientEnd::Lost) if is_taken => self.lose_lease(now, &token, None),
+            Some(ClientEnd::Lost) if is_taken => self.lose_lease(now, &token, None, LossCause::Disconnected),
             Some(ClientEnd::Announced) if is_taken => drop(self.release_lease(now, Some(&token))),
             _ => {}
         }

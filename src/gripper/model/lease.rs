@@ -218,11 +218,13 @@ pub enum LeaseStep {
 ///
 /// - `expired`: the lease ran out without use
 /// - `disconnected`: the connection bound to the lease ended without a release
+/// - `forbidden`: the holder may no longer move the gripper
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum LossCause {
     Expired,
     Disconnected,
+    Forbidden,
 }
 
 /// Action taken after the lease holder was lost.

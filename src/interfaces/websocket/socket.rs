@@ -31,7 +31,7 @@ use super::writer::Writer;
 use crate::access::{Right, Visitor};
 use crate::events::{Notification, encoded, text_frame};
 use crate::gripper::Ticket;
-use crate::gripper::model::{Client, CommandReport, Name, Urgency};
+use crate::gripper::model::{Client, CommandReport, LossCause, Name, Urgency};
 use crate::interfaces::Context;
 use crate::interfaces::admission::{Claim, Class, ConnectionPermit, HeldBytes};
 use crate::interfaces::client_stream::ClientStream;
@@ -226,7 +226,7 @@ impl Socket {
         tracing::debug!(client = %self.client.subject, ?end, "WebSocket ended");
         // On shutdown the gateway has already released its grippers.
         for (lease, _) in self.leases.values().filter(|_| end != End::Closing) {
-            lease.lose().await;
+            lease.lose(LossCause::Disconnected).await;
         }
         let (code, reason) = match end {
             End::Closing => (CloseCode::Away, "the gateway is shutting down"),
@@ -293,6 +293,7 @@ impl Socket {
                     if !self.visitor.is_known(access) || (self.is_subscribed && !self.visitor.may_read(access)) {
                         return End::Violation(CloseCode::Policy, "the client's credential is no longer valid");
                     }
+                    self.lose_forbidden_leases();
                     self.unanswered += 1;
                     self.outbox.push(encoded(Frame::ping(Bytes::new())));
                 }
@@ -300,6 +301,22 @@ impl Socket {
             if self.outbox.has_overflown() {
                 return End::Violation(CloseCode::Policy, "too many unread responses");
             }
+        }
+    }
+
+    /// Ends the leases of grippers that the client may no longer move, as if their holder were lost.
+    fn lose_forbidden_leases(&mut self) {
+        let identity = self.visitor.identity(&self.context.gateway.access);
+        let may_move =
+            |gripper: &Name| identity.as_ref().is_ok_and(|identity| identity.may(Right::Operate, Some(gripper)));
+        for (_, (lease, _)) in self.leases.extract_if(|gripper, _| !may_move(gripper)) {
+            self.calls.push(
+                async move {
+                    lease.lose(LossCause::Forbidden).await;
+                    Done::default()
+                }
+                .boxed(),
+            );
         }
     }
 

@@ -18,7 +18,8 @@ use super::rights;
 use super::status::RefusedStatus;
 use crate::gripper::clock::{self, sleep_until};
 use crate::gripper::model::{
-    Action, Client, CommandReport, FastStopId, LeaseToken, Motion, Outcome, Phase, Reason, State, Submission, TakeLease,
+    Action, Client, CommandReport, FastStopId, LeaseToken, LossCause, Motion, Outcome, Phase, Reason, State,
+    Submission, TakeLease,
 };
 use crate::gripper::{AcquiredLease, Conflict, Handle, LeaseKeepAlive, Rejection, Ticket};
 use crate::interfaces::admission::{Claim, Class, ConnectionPermit};
@@ -261,7 +262,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
 
     async fn lose_lease(&mut self) {
         // The token belongs to this connection alone, however often the lease was taken.
-        self.port.gripper.lose_lease(self.token.clone(), None).await;
+        self.port.gripper.lose_lease(self.token.clone(), None, LossCause::Disconnected).await;
     }
 
     /// Whether a client without a connection (UDP) has announced its disconnect and got all replies.

@@ -20,7 +20,7 @@ use zenoh::sample::{Sample, SampleKind};
 use zenoh::session::{TransportEvent, ZenohId};
 
 use crate::fleet::keys::{ZenohKeys, last_part};
-use crate::gripper::model::Name;
+use crate::gripper::model::{LossCause, Name};
 use crate::interfaces::metrics::{Connected, InterfaceMetrics};
 use crate::operations::ConnectionLease;
 
@@ -233,7 +233,7 @@ impl Clients {
     }
 
     fn lose(&self, taken: Arc<ConnectionLease>) {
-        self.runtime.spawn(async move { taken.lose().await });
+        self.runtime.spawn(async move { taken.lose(LossCause::Disconnected).await });
     }
 
     fn known(&self) -> std::sync::MutexGuard<'_, Known> {

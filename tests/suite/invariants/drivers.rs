@@ -5,7 +5,7 @@ use std::time::Duration;
 use tokio::sync::oneshot;
 use wsg_gateway::gripper::handle::ActorRequest;
 use wsg_gateway::gripper::model::{
-    Action, Client, Door, FastStopCause, LeaseToken, Motion, Outcome, Submission, TakeLease,
+    Action, Client, Door, FastStopCause, LeaseToken, LossCause, Motion, Outcome, Submission, TakeLease,
 };
 use wsg_gateway::gripper::{Conflict, Failure, Invalid, Rejection, Ticket};
 use wsg_gateway::sim::{Change, FaultKind, Script, ScriptAnswer};
@@ -126,7 +126,11 @@ fn announces_end(world: &mut World, (_, token): &(Client, LeaseToken)) {
 
 fn leaves(world: &mut World, (_, token): &(Client, LeaseToken)) {
     let token = token.clone();
-    drop(request(world, |_: oneshot::Sender<()>| ActorRequest::LoseLease { token, times_taken: None }));
+    drop(request(world, |_: oneshot::Sender<()>| ActorRequest::LoseLease {
+        token,
+        times_taken: None,
+        cause: LossCause::Disconnected,
+    }));
 }
 
 fn somebody_moves(world: &mut World, width_mm: f64) {
@@ -334,7 +338,11 @@ fn lost_driver_returns_from_the_same_host_with_a_new_token() {
     assert_eq!(finish(&mut world, &held).outcome, Some(Outcome::PartHeld));
     let from = mark(&world);
     let lost = one.1.clone();
-    drop(request(&mut world, |_: oneshot::Sender<()>| ActorRequest::LoseLease { token: lost, times_taken: None }));
+    drop(request(&mut world, |_: oneshot::Sender<()>| ActorRequest::LoseLease {
+        token: lost,
+        times_taken: None,
+        cause: LossCause::Disconnected,
+    }));
     world.advance(Duration::from_secs(1));
     assert_eq!(received(&world, from), NOTHING);
     assert!(moves(&mut world, &other, move_to(50.0, 50.0)).is_err());

@@ -11,8 +11,8 @@ use std::time::Duration;
 use tokio::sync::{oneshot, watch};
 use wsg_gateway::gripper::handle::ActorRequest;
 use wsg_gateway::gripper::model::{
-    Action, Client, Door, FastStopCause, HolderName, Lease, LeaseToken, Motion, OnLossHolding, OnLossMoving, Outcome,
-    State, Submission, TakeLease,
+    Action, Client, Door, FastStopCause, HolderName, Lease, LeaseToken, LossCause, Motion, OnLossHolding, OnLossMoving,
+    Outcome, State, Submission, TakeLease,
 };
 use wsg_gateway::gripper::{AcquiredLease, Conflict, Rejection, Ticket};
 use wsg_gateway::sim::Change;
@@ -211,7 +211,11 @@ fn fast_stop_keeps_the_reservation_of_a_held_part() {
         assert_eq!(finish(&mut world, &held).outcome, Some(Outcome::PartHeld));
         let lose = |world: &mut World| {
             let token = a.clone().unwrap();
-            drop(request(world, |_: oneshot::Sender<()>| ActorRequest::LoseLease { token, times_taken: None }));
+            drop(request(world, |_: oneshot::Sender<()>| ActorRequest::LoseLease {
+                token,
+                times_taken: None,
+                cause: LossCause::Disconnected,
+            }));
         };
         if !stopped_first {
             lose(&mut world);
@@ -240,7 +244,11 @@ fn fast_stop_keeps_the_reservation_of_a_held_part() {
         let opened = submit_with(&mut world, release, again.clone()).unwrap();
         assert_eq!(finish(&mut world, &opened).outcome, Some(Outcome::Success));
         let token = again.unwrap();
-        drop(request(&mut world, |_: oneshot::Sender<()>| ActorRequest::LoseLease { token, times_taken: None }));
+        drop(request(&mut world, |_: oneshot::Sender<()>| ActorRequest::LoseLease {
+            token,
+            times_taken: None,
+            cause: LossCause::Disconnected,
+        }));
         assert_eq!(lease(&mut world).reserved_for, None, "the part was released");
     }
 }
@@ -380,7 +388,11 @@ fn grip_that_ends_after_the_loss_reserves_the_part() {
     let gripping = submit_with(&mut world, grip(None), a.clone()).unwrap();
     world.advance(Duration::from_millis(200));
     let lost = a.unwrap();
-    drop(request(&mut world, |_: oneshot::Sender<()>| ActorRequest::LoseLease { token: lost, times_taken: None }));
+    drop(request(&mut world, |_: oneshot::Sender<()>| ActorRequest::LoseLease {
+        token: lost,
+        times_taken: None,
+        cause: LossCause::Disconnected,
+    }));
     assert_eq!(finish(&mut world, &gripping).outcome, Some(Outcome::PartHeld));
     let reserved = Conflict::LeaseHeld { holder: "a".into(), expires_in_ms: None };
     assert_eq!(refused(&mut world, move_to(50.0, 50.0)), reserved.clone().into());
@@ -408,7 +420,11 @@ fn forced_take_stops_a_motion_without_a_holder() {
         let running = submit_with(&mut world, move_to(5.0, 10.0), lost.clone()).unwrap();
         world.advance(Duration::from_millis(300));
         if let Some(token) = lost {
-            drop(request(&mut world, |_: oneshot::Sender<()>| ActorRequest::LoseLease { token, times_taken: None }));
+            drop(request(&mut world, |_: oneshot::Sender<()>| ActorRequest::LoseLease {
+                token,
+                times_taken: None,
+                cause: LossCause::Disconnected,
+            }));
         }
         assert_eq!(lease(&mut world).reserved_for.as_deref(), with_holder.then_some("a"));
         let from = mark(&world);

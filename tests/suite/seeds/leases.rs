@@ -7,8 +7,8 @@ use rand::RngExt;
 use tokio::sync::oneshot;
 use wsg_gateway::gripper::handle::ActorRequest;
 use wsg_gateway::gripper::model::{
-    Client, Door, HolderName, LeaseEvent, LeaseStep, LeaseToken, Link, LossEffect, OnLossHolding, OnLossMoving, Phase,
-    State, TakeLease,
+    Client, Door, HolderName, LeaseEvent, LeaseStep, LeaseToken, Link, LossCause, LossEffect, OnLossHolding,
+    OnLossMoving, Phase, State, TakeLease,
 };
 use wsg_gateway::gripper::{Conflict, Rejection, Ticket};
 use wsg_gateway::wsg::SystemState;
@@ -103,7 +103,14 @@ impl Leases {
                 if let Some(current) = world.leases.current.take() {
                     world.leases.open.clear();
                     let now = world.clock();
-                    world.actor.request(now, ActorRequest::LoseLease { token: current.token, times_taken: None });
+                    world.actor.request(
+                        now,
+                        ActorRequest::LoseLease {
+                            token: current.token,
+                            times_taken: None,
+                            cause: LossCause::Disconnected,
+                        },
+                    );
                     assert_eq!(world.watches.state.borrow().lease_holder, None, "{}", world.tail());
                 }
             }

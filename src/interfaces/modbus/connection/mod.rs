@@ -27,7 +27,7 @@ use super::adu::{self, Header};
 use super::context::{ModbusContext, NewestSettings};
 use super::image::Image;
 use crate::gripper::clock;
-use crate::gripper::model::{Client, LeaseToken, Name};
+use crate::gripper::model::{Client, LeaseToken, LossCause, Name};
 use crate::interfaces::admission::{Claim, ConnectionPermit};
 use crate::operations::ConnectionLease;
 use pending::{OrderStep, Unanswered};
@@ -279,11 +279,11 @@ impl ModbusConnection {
 
     async fn lose_leases(&mut self) {
         while let Some((_, held)) = self.leases.pop_first() {
-            held.lease.lose().await;
+            held.lease.lose(LossCause::Disconnected).await;
         }
         for gripper in self.images.keys().flatten().filter_map(|name| self.context.gateway.grippers.get(name)) {
             // A motion may have taken the lease a moment ago. The token belongs to this connection alone.
-            gripper.lose_lease(self.token.clone(), None).await;
+            gripper.lose_lease(self.token.clone(), None, LossCause::Disconnected).await;
         }
     }
 }

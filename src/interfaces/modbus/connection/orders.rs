@@ -11,7 +11,7 @@ use super::super::image::{Ended, number_of};
 use super::super::order::ModbusOrder;
 use super::pending::{OrderKind, OrderStep, Target};
 use super::{ClientLease, ModbusConnection};
-use crate::gripper::model::{LeaseToken, TakeLease};
+use crate::gripper::model::{LeaseToken, LossCause, TakeLease};
 use crate::gripper::{AcquiredLease, Handle};
 use crate::interfaces::admission::Class;
 use crate::operations::{Caller, Code, ConnectionLease, Effect, OperationReply, call};
@@ -184,7 +184,7 @@ impl ModbusConnection {
     /// Reports that the client is lost, without waiting for the gripper.
     pub(super) fn lose(&mut self, lease: Arc<ConnectionLease>) {
         let lost = async move {
-            lease.lose().await;
+            lease.lose(LossCause::Disconnected).await;
             OrderStep::Finished
         };
         self.begin(lost.boxed());

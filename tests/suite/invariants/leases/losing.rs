@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use wsg_gateway::gripper::model::{FastStopCause, OnLossMoving, Outcome, TakeLease};
+use wsg_gateway::gripper::model::{FastStopCause, LossCause, OnLossMoving, Outcome, TakeLease};
 use wsg_gateway::sim::Interface;
 use wsg_gateway::wsg::id;
 
@@ -44,7 +44,7 @@ fn lose_link_and_holder(on_loss_moving: OnLossMoving) -> (World, usize) {
     world.disconnected("pulled");
     assert_eq!(running.now().outcome, Some(Outcome::Unknown));
     let now = world.clock();
-    world.actor.request(now, ActorRequest::LoseLease { token: a, times_taken: None });
+    world.actor.request(now, ActorRequest::LoseLease { token: a, times_taken: None, cause: LossCause::Disconnected });
     assert!(!lease(&mut world).held && world.device.snapshot().moving);
     world.advance(Duration::from_secs(1));
     (world, from)
@@ -84,7 +84,11 @@ fn holder_lost_during_an_unknown_motion_is_a_fast_stop() {
     assert_eq!((state(&world).moving, state(&world).command), (Some(true), None));
     let from = mark(&world);
     let lost = a.unwrap();
-    drop(request(&mut world, |_: oneshot::Sender<()>| ActorRequest::LoseLease { token: lost, times_taken: None }));
+    drop(request(&mut world, |_: oneshot::Sender<()>| ActorRequest::LoseLease {
+        token: lost,
+        times_taken: None,
+        cause: LossCause::Disconnected,
+    }));
     world.advance(Duration::from_millis(200));
     assert_eq!(received(&world, from), [id::FAST_STOP]);
     assert!(!world.device.snapshot().moving);
@@ -100,7 +104,11 @@ fn loss_of_the_holder_aborts_a_waiting_motion() {
     let from = mark(&world);
     let waiting = submit_with(&mut world, move_to(5.0, 10.0), a.clone()).unwrap();
     let lost = a.unwrap();
-    drop(request(&mut world, |_: oneshot::Sender<()>| ActorRequest::LoseLease { token: lost, times_taken: None }));
+    drop(request(&mut world, |_: oneshot::Sender<()>| ActorRequest::LoseLease {
+        token: lost,
+        times_taken: None,
+        cause: LossCause::Disconnected,
+    }));
     assert_eq!(finish(&mut world, &waiting).outcome, Some(Outcome::Aborted));
     world.advance(Duration::from_secs(1));
     assert!(!received(&world, from).contains(&id::PRE_POSITION));
@@ -119,7 +127,11 @@ fn holder_chooses_the_fate_of_its_motion() {
         world.advance(Duration::from_millis(300));
         let from = mark(&world);
         let lost = a.unwrap();
-        drop(request(&mut world, |_: oneshot::Sender<()>| ActorRequest::LoseLease { token: lost, times_taken: None }));
+        drop(request(&mut world, |_: oneshot::Sender<()>| ActorRequest::LoseLease {
+            token: lost,
+            times_taken: None,
+            cause: LossCause::Disconnected,
+        }));
         assert_eq!(finish(&mut world, &running).outcome, Some(outcome), "{choice:?}");
         world.advance(Duration::from_secs(1));
         assert_eq!(received(&world, from), sent, "{choice:?}");

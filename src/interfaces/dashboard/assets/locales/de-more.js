@@ -19,6 +19,7 @@ export const moreDe = {
   'notice.hand_over_of': 'Übergeben: {gripper} an {name}',
   'notice.not_now': 'Jetzt nicht',
   'notice.forced': '{name} hat Ihnen die Steuerung von {gripper} entzogen.',
+  'notice.forbidden': 'Sie steuern {gripper} nicht mehr: Ihr Recht, den Greifer zu bewegen, ist erloschen.',
   'notice.expired': 'Sie steuern {gripper} nicht mehr: Dieser Browser hat nicht rechtzeitig geantwortet.',
   'notice.disconnected': 'Sie steuern {gripper} nicht mehr: Die Verbindung zum Gateway ist abgebrochen.',
   'notice.reserved':

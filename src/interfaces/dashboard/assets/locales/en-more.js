@@ -19,6 +19,7 @@ export const moreEn = {
   'notice.hand_over_of': 'Hand over {gripper} to {name}',
   'notice.not_now': 'Not now',
   'notice.forced': '{name} took control of {gripper} from you by force.',
+  'notice.forbidden': 'You lost control of {gripper}: your right to move it has ended.',
   'notice.expired': 'You lost control of {gripper}: this browser did not respond in time.',
   'notice.disconnected': 'You lost control of {gripper}: the connection to the gateway was lost.',
   'notice.reserved': '{gripper} is reserved for {name}. This client was lost while a part was held.',

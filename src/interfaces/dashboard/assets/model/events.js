@@ -39,9 +39,9 @@ function takeCommand(event, one, at) {
 }
 
 /** Notes that another client took control from this page, or that the gateway ended this page's lease. */
-function takeLoss({ event, holder, epoch }, one) {
+function takeLoss({ event, holder, epoch, cause }, one) {
   if (event === 'forced' && epoch > one.epoch) one.loseControl('forced', holder);
-  if (event === 'lost' && epoch === one.epoch) one.loseControl('expired');
+  if (event === 'lost' && epoch === one.epoch) one.loseControl(cause === 'forbidden' ? cause : 'expired');
 }
 
 /** Ends a request for control, and takes control if it was handed over to this page. */

@@ -1,8 +1,10 @@
 // The form to sign in with a token.
 
 import { html, signal } from '../lib.js';
+import { releaseControl } from '../model/commands.js';
 import { ofProblem, t } from '../model/i18n.js';
 import { enterPin, forgetPin, me, signIn, signOut } from '../model/me.js';
+import { grippers } from '../model/store.js';
 import { noConnection } from '../net/rpc.js';
 
 /** Problem of the last attempt. */
@@ -56,13 +58,23 @@ function PinField() {
   </form>`;
 }
 
+/** Gives up control of all grippers, and then the rights of the PIN. */
+async function lock() {
+  await Promise.all(
+    grippers
+      .peek()
+      .filter((one) => one.isMine.peek())
+      .map(releaseControl),
+  );
+  await forgetPin();
+}
+
 /** The name of the person, with buttons to sign out, to enter a PIN, and to forget it. */
 export function SignedIn() {
   const { proof, name, role } = me.value ?? {};
   if (proof !== 'session' && proof !== 'pin') return null;
   const who = html`<span class="signed-in">${t('signin.as', { name, role: t(`role.${role}`) })}</span>`;
-  if (proof === 'pin')
-    return html`${who}<button type="button" id="lock" onClick=${forgetPin}>${t('pin.forget')}</button>`;
+  if (proof === 'pin') return html`${who}<button type="button" id="lock" onClick=${lock}>${t('pin.forget')}</button>`;
   const open = () => {
     isEntering.value = !isEntering.value;
   };
