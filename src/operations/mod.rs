@@ -61,6 +61,6 @@ pub(crate) use query_string::QueryString;
 pub use reload_requests::{ReloadRequest, Reloads};
 pub(crate) use reply::{Effect, OperationReply};
 pub(crate) use rights::{check, require};
-pub(crate) use run::{call, run};
+pub(crate) use run::{call, note_use, run};
 pub use table::OPERATIONS;
 pub(crate) use table::{find, is_fast_stop, named, urgency};

@@ -20,7 +20,17 @@ use super::reply::OperationReply;
 use super::rights::check;
 use super::table::{is_fast_stop, named, shortened};
 use super::values::TextOrNumber;
+use crate::access::{Access, Identity, Unauthorized};
 use crate::gripper::model::{Code, Urgency};
+
+/// Notes that a browser's session is used, which keeps it and its PIN from expiring.
+pub fn note_use(access: &Access, operation: &Operation, identity: &Result<Identity, Unauthorized>) {
+    if let Some(session) = identity.as_ref().ok().and_then(|identity| identity.session.as_ref()) {
+        // A page renews its lease by itself.
+        let is_change = operation.changes_something() && operation.urgency != Urgency::Lease;
+        access.note_use(session, is_change);
+    }
+}
 
 /// Runs an operation for a caller, and records a refusal.
 ///
@@ -38,11 +48,7 @@ pub async fn run(
     let (client, gripper) = (caller.client.clone(), params.gripper());
     let running = match check(&gateway.access, operation.right, &caller.identity, gripper.as_ref()) {
         Ok(()) => {
-            if let Some(session) = caller.identity.as_ref().ok().and_then(|identity| identity.session.as_ref()) {
-                // A page renews its lease by itself.
-                let is_change = operation.changes_something() && operation.urgency != Urgency::Lease;
-                gateway.access.note_use(session, is_change);
-            }
+            note_use(&gateway.access, operation, &caller.identity);
             operation.start(Call { gateway: gateway.clone(), caller, params })
         }
         Err(problem) => ready(Err(problem)).boxed(),

@@ -28,7 +28,7 @@ use crate::operations::fleet::no_answer;
 use crate::operations::json::{parse, text_member};
 use crate::operations::values::text;
 use crate::operations::{
-    Code, DEFAULT_WAIT_MS, MAX_LEASE_BYTES, OPERATIONS, Operation, Problem, QueryString, check, wait_ms,
+    Code, DEFAULT_WAIT_MS, MAX_LEASE_BYTES, OPERATIONS, Operation, Problem, QueryString, check, note_use, wait_ms,
 };
 
 /// Paths of the grippers of any gateway.
@@ -86,6 +86,7 @@ pub async fn forward(
     let identified = Identified::client_of(&context.gateway.access, &parts.extensions);
     // The rights to one of this gateway's grippers say nothing about another gateway's gripper of the same name.
     check(&context.gateway.access, operation.right, &identified.identity, None)?;
+    note_use(&context.gateway.access, operation, &identified.identity);
     let (mut wait, mut aside) = (wait(&parts, operation)?, aside(&parts));
     if operation.ignores_mistakes {
         aside.retain(|(name, value)| text::<MAX_LEASE_BYTES>(name, value).is_ok());
