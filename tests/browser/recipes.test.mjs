@@ -87,5 +87,15 @@ test('limits are proposed from grips, and a change in between is not overwritten
   await page.waitForSelector('.recipe[data-recipe="3"]:has-text("26 mm")');
   await page.click('.recipe[data-recipe="3"] [data-act="recipe.edit"]');
   assert.equal(await page.inputValue('#recipe-accept_max_mm'), '26');
+  // A change of one field leaves the decimals of the others.
+  await page.click('.recipe-form button:has-text("Cancel")');
+  await put(26.125);
+  await page.waitForSelector('.recipe[data-recipe="3"]:has-text("26.13 mm")');
+  await page.click('.recipe[data-recipe="3"] [data-act="recipe.edit"]');
+  await fill(page, { description: 'ring' });
+  await page.click('#recipe-save');
+  await page.waitForSelector('.recipe[data-recipe="3"]:has-text("ring")');
+  const { description, accept_max_mm: limit } = await served.ask('GET', 'recipes/ring');
+  assert.deepEqual([description, limit], ['ring', 26.125]);
   assertClean(visitor);
 });

@@ -11,13 +11,13 @@ const { checksum, encode, fromHex, parts, toHex } = await view('frame');
 const { interpretations, parse, parseId } = await view('bytes');
 const { sentence } = await view('sentence');
 const { Samples } = await core('ring');
-const { asTyped, forceLimits, mistake, number, readings, speedLimits, widthLimits } = await core('limits');
+const { asTyped, forceLimits, mistake, number, readings, speedLimits, typedFrom, widthLimits } = await core('limits');
 const { acknowledged, noGateway, sorted } = await core('alarms');
 const { FLAGS, has } = await core('flags');
 const { decimals } = await core('decimals');
 const { delay } = await core('backoff');
 const { bytesOf, cut } = await core('bytes');
-const { numbered } = await core('newest');
+const { numbered, ordered } = await core('newest');
 
 test('frames and checksums match the manuals', () => {
   const vectors = [
@@ -187,6 +187,17 @@ test('only the newest request counts', () => {
   const [first, second] = [asking(), asking()];
   other();
   assert.deepEqual([first(), second()], [false, true]);
+});
+
+test('an answer counts unless a newer request was answered before', () => {
+  const request = ordered();
+  const [first, second, third] = [request(), request(), request()];
+  assert.deepEqual([second(), first(), third(), second()], [true, false, true, false]);
+});
+
+test('a field that nobody has edited keeps all decimals of its value', () => {
+  assert.deepEqual([typedFrom(19.865, asTyped(19.865)), typedFrom(19.865, '19.9')], [19.865, 19.9]);
+  assert.deepEqual([typedFrom(null, ''), typedFrom(20, ''), typedFrom(undefined, '5')], [undefined, undefined, 5]);
 });
 
 test('limits combine device limits and soft limits', () => {

@@ -49,5 +49,11 @@ export function readings(text) {
   return whole === undefined ? null : [Number(`${whole}.${rest}`), Number(whole + rest)];
 }
 
+/** Parses an optional field that began with `value`; undefined if it is empty. An unchanged text keeps all decimals. */
+export function typedFrom(value, text) {
+  if (text.trim() === '') return undefined;
+  return text === asTyped(value) ? value : number(text);
+}
+
 /** Formats a value for a field, with two decimals at most: a third would make it ambiguous. */
 export const asTyped = (value) => (value === null || value === undefined ? '' : String(Math.round(value * 100) / 100));

@@ -61,10 +61,11 @@ const terms = () => ({
 export async function takeControl(one, { force = false, request = false } = {}) {
   // Set before the request, because control can be handed over before the answer arrives.
   if (request) one.isAsking.value = true;
+  const take = one.asking('lease');
   const lease = await askFreely(one, 'lease.take', { ...terms(), force, request });
   // Without a token in the reply, the request waits for the holder.
   if (lease?.token) {
-    one.lease.value = lease;
+    take(lease);
     one.own(lease);
   }
   const isFirst = lease?.place === 1;
@@ -79,24 +80,27 @@ export async function takeControl(one, { force = false, request = false } = {}) 
 export async function changeTerms(one, more = {}) {
   const held = one.held.peek();
   if (!held) return null;
+  const take = one.asking('lease');
   const lease = await askFreely(one, 'lease.take', { ...terms(), lease: held.token, ...more });
-  if (lease) one.lease.value = lease;
+  if (lease) take(lease);
   return lease;
 }
 
 export async function releaseControl(one) {
+  const take = one.asking('lease');
   const released = ask(one, 'lease.release');
   one.epoch = null;
   const lease = await released;
   one.own(null);
-  if (lease) one.lease.value = lease;
+  if (lease) take(lease);
 }
 
 export async function handOver(one, to) {
+  const take = one.asking('lease');
   const lease = await ask(one, 'lease.hand-over', { to });
   if (lease) {
     one.own(null);
-    one.lease.value = lease;
+    take(lease);
   }
 }
 

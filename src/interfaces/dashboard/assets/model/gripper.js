@@ -3,7 +3,7 @@
 import { batch, computed, signal } from '../lib.js';
 import { Samples } from '../core/ring.js';
 import { has } from '../core/flags.js';
-import { numbered } from '../core/newest.js';
+import { numbered, ordered } from '../core/newest.js';
 import { person } from '../core/people.js';
 
 /** Ten minutes at 20 samples a second. */
@@ -19,6 +19,7 @@ const SETTINGS = ['acceleration_mm_s2', 'force_n', 'minus_mm', 'plus_mm', 'tag']
 
 export class Gripper {
   #readAt = -Infinity;
+  #answers = { info: ordered(), lease: ordered() };
 
   constructor(name) {
     this.name = name;
@@ -51,8 +52,6 @@ export class Gripper {
     this.lostControl = signal(null);
     /** Numbers the FAST STOP requests for this gripper. */
     this.stopping = numbered();
-    /** Numbers the reads of limits and lease. */
-    this.learning = numbered();
     /** Whether this page has requested a motion that no state reports yet. */
     this.isAsked = signal(false);
     this.samples = new Samples(SAMPLES);
@@ -93,6 +92,17 @@ export class Gripper {
         ? 0
         : Math.sign(target - this.width.value);
     });
+  }
+
+  /**
+   * To be called for each request whose answer is the gripper's `info` or `lease`. The result takes that answer, unless a
+   * newer request was answered before.
+   */
+  asking(field) {
+    const isNewest = this.#answers[field]();
+    return (answer) => {
+      if (isNewest()) this[field].value = answer;
+    };
   }
 
   /** Notes the lease that this page was given, or null after the page gave it up. */

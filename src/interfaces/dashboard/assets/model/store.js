@@ -156,10 +156,9 @@ async function subscribe() {
     look();
     // Starts from these states; events report what comes after them.
     grippers.peek().forEach((one) => catchUp(one).catch(() => {}));
+    const takes = new Map(grippers.peek().map((one) => [one.name, one.asking('info')]));
     const answer = await rpc.call('grippers');
-    answer.grippers.forEach((info) => {
-      ensure(info.gripper).info.value = info;
-    });
+    answer.grippers.forEach((info) => (takes.get(info.gripper) ?? ensure(info.gripper).asking('info'))(info));
     const isShown = (one) => one === gripper.peek();
     const inOrder = [...grippers.peek()].sort((a, b) => isShown(b) - isShown(a));
     await Promise.all(inOrder.flatMap((one) => [learn(one), learnSettings(one)]));
@@ -172,14 +171,13 @@ const inTurn = paced(MAX_READS);
 const read = (method, one) => inTurn(() => rpc.call(method, { gripper: one.name }));
 
 /** Fetches what a state does not contain: limits, and the terms of the lease. */
-export async function learn(one) {
-  const isNewest = one.learning();
-  const [info, lease] = await Promise.allSettled([read('info', one), read('lease', one)]);
-  if (!isNewest()) return;
-  batch(() => {
-    if (info.value) one.info.value = info.value;
-    if (lease.value) one.lease.value = lease.value;
-  });
+export function learn(one) {
+  const fetch = (field) =>
+    inTurn(() => {
+      const take = one.asking(field);
+      return rpc.call(field, { gripper: one.name }).then(take);
+    });
+  return Promise.allSettled(['info', 'lease'].map(fetch));
 }
 
 /** Fetches the device's settings; events report later changes. Returns the problem, or null. */

@@ -1,7 +1,7 @@
 // The mounted fingers, their use, and the limits after which they need maintenance.
 
 import { html, useEffect, useSignal } from '../lib.js';
-import { asTyped, mistake, number } from '../core/limits.js';
+import { asTyped, mistake, typedFrom } from '../core/limits.js';
 import { askFreely } from '../model/commands.js';
 import { fixed, fullDate, plain, t } from '../model/i18n.js';
 import { mayOperate } from '../model/me.js';
@@ -24,16 +24,18 @@ function Form({ one, set, take }) {
   const cycles = useSignal(asTyped(set.maintenance_cycles));
   const travel = useSignal(asTyped(set.maintenance_travel_m));
   const isSure = useSignal(false);
-  const given = ({ value }) => (value.trim() === '' ? undefined : number(value));
+  const given = () => ({
+    maintenance_cycles: typedFrom(set.maintenance_cycles, cycles.value),
+    maintenance_travel_m: typedFrom(set.maintenance_travel_m, travel.value),
+  });
   const isWrong =
     id.value.trim() === '' ||
     [
-      [cycles, CYCLES],
-      [travel, TRAVEL_M],
-    ].some(([typed, limits]) => given(typed) !== undefined && mistake(given(typed), limits));
+      [given().maintenance_cycles, CYCLES],
+      [given().maintenance_travel_m, TRAVEL_M],
+    ].some(([value, limits]) => value !== undefined && mistake(value, limits));
   const send = async (reset) => {
-    const limits = { maintenance_cycles: given(cycles), maintenance_travel_m: given(travel) };
-    const answer = await askFreely(one, 'finger-set.set', { id: id.peek().trim(), reset, ...limits });
+    const answer = await askFreely(one, 'finger-set.set', { id: id.peek().trim(), reset, ...given() });
     if (answer) take(answer);
   };
   const save = (event) => {

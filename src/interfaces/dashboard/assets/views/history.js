@@ -97,14 +97,16 @@ export function History({ one }) {
     from: instant(from.value),
     to: instant(to.value),
   };
-  const address = `${what.value}?${query(asked)}`;
+  const shown = what.value;
+  const address = `${shown}?${query(asked)}`;
   const asking = useMemo(numbered, []);
   const load = async (cursor = null) => {
     const isNewest = asking();
     try {
       const page = await get(`${address}&${query({ limit: PAGE, cursor })}`);
-      if (!isNewest()) return;
-      list.value = cursor ? [...list.peek(), ...page[what.peek()]] : page[what.peek()];
+      // The choice can have changed without a newer request yet.
+      if (!isNewest() || shown !== what.peek()) return;
+      list.value = cursor ? [...list.peek(), ...page[shown]] : page[shown];
       next.value = page.next_cursor;
       problem.value = null;
     } catch (refused) {

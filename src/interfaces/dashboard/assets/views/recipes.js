@@ -1,7 +1,7 @@
 // Recipes, which all browsers and programs share: one tap grips by recipe.
 
 import { html, useEffect, useSignal } from '../lib.js';
-import { asTyped, mistake, number } from '../core/limits.js';
+import { asTyped, mistake, number, typedFrom } from '../core/limits.js';
 import { move } from '../model/commands.js';
 import { plain, t } from '../model/i18n.js';
 import { mayOperateAll } from '../model/me.js';
@@ -38,8 +38,6 @@ function freeNumber() {
   for (let free = 1; free <= MAX_NUMBER; free += 1) if (!taken.has(free)) return free;
   return 0;
 }
-
-const typedValue = (text) => (text.trim() === '' ? undefined : number(text));
 
 /** Proposes limits from the part's last grips. */
 function Teach({ part, signals, problem }) {
@@ -79,7 +77,7 @@ function Editor({ recipe, close }) {
       problem.value = refusal;
     }
   };
-  const given = VALUES.map(([field, , limits]) => [field, typedValue(signals[field].value), limits]);
+  const given = VALUES.map(([field, , limits]) => [field, typedFrom(recipe?.[field], signals[field].value), limits]);
   const isWrong =
     part.value === '' ||
     mistake(number(recipeNumber.value), { min: 1, max: MAX_NUMBER }) !== null ||
