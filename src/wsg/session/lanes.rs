@@ -42,12 +42,12 @@ impl Lanes {
     }
 
     /// Removes the next FAST STOP or Stop that may be written now.
-    pub(super) fn pop_urgent(&mut self, is_open: impl Fn(&Command) -> bool) -> Option<Waiting> {
+    pub(super) fn pop_urgent(&mut self, is_open: impl Fn(&Waiting) -> bool) -> Option<Waiting> {
         pop_open(&mut self.fast_stop, &is_open).or_else(|| pop_open(&mut self.stop, &is_open))
     }
 
     /// Removes the next other request that may be written now. Requests of different ids can overtake each other.
-    pub(super) fn pop_rest(&mut self, is_open: impl Fn(&Command) -> bool) -> Option<Waiting> {
+    pub(super) fn pop_rest(&mut self, is_open: impl Fn(&Waiting) -> bool) -> Option<Waiting> {
         pop_open(&mut self.rest, &is_open)
     }
 
@@ -75,6 +75,11 @@ impl Lanes {
         lanes.into_iter().flatten().map(|waiting| waiting.deadline).min()
     }
 
+    /// The oldest waiting Stop.
+    pub(super) fn first_stop(&self) -> Option<Token> {
+        self.stop.front().map(|waiting| waiting.token)
+    }
+
     pub(super) fn has_waiting(&self, id: u8) -> bool {
         [&self.fast_stop, &self.stop, &self.rest]
             .into_iter()
@@ -87,7 +92,7 @@ impl Lanes {
     }
 }
 
-fn pop_open(lane: &mut VecDeque<Waiting>, is_open: impl Fn(&Command) -> bool) -> Option<Waiting> {
-    let index = lane.iter().position(|waiting| is_open(&waiting.request.command))?;
+fn pop_open(lane: &mut VecDeque<Waiting>, is_open: impl Fn(&Waiting) -> bool) -> Option<Waiting> {
+    let index = lane.iter().position(is_open)?;
     lane.remove(index)
 }

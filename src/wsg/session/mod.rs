@@ -12,8 +12,8 @@
 //! - At most one request per id is in flight.
 //! - FAST STOP is written before Stop, and Stop before all others. Frames are handed out one by one, so a stop waits at
 //!   most for the frame being written.
-//! - No motion is written while a Stop waits for the reply to an earlier one, because the Stop would stop that motion. For
-//!   the same reason, no acknowledgement is written while a FAST STOP waits.
+//! - No motion or script is written while an earlier Stop waits to be written, because the Stop would stop it. For the same
+//!   reason, no acknowledgement is written while a FAST STOP waits.
 //! - Every request ends exactly once: with a reply or at its deadline.
 //! - After a timeout, an id stays closed until the echo of a later Loop (see `barrier`). A two-step id stays closed
 //!   until its late result arrives, or the device reports not MOVING after that echo. A script's id stays closed until
@@ -308,13 +308,15 @@ impl Session {
         let before = out.len();
         // A client's Loop and the session's own share one id, so only one can be in flight.
         let loop_busy = self.barrier.is_in_flight();
-        let (stop_waits, fast_stop_waits) = (self.has_waiting(id::STOP), self.has_waiting(id::FAST_STOP));
+        let (first_stop, fast_stop_waits) = (self.lanes.first_stop(), self.has_waiting(id::FAST_STOP));
         let may_move = self.may_move();
-        let is_open = |command: &Command| {
+        let is_open = |waiting: &Waiting| {
+            let command = &waiting.request.command;
             let id = command.id();
+            let is_after_stop = first_stop.is_some_and(|stop| stop < waiting.token);
             self.slots.is_open(id)
                 && !(loop_busy && id == id::LOOP)
-                && !(stop_waits && id::is_motion(id))
+                && !(is_after_stop && (id::is_motion(id) || id::is_custom(id)))
                 && !(fast_stop_waits && id == id::ACKNOWLEDGE_FAST_STOP)
                 // The fingers may have begun to move since the request was taken.
                 && !(may_move && self.config.is_too_long(command))

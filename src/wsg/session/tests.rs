@@ -2,7 +2,7 @@ mod late;
 
 use super::*;
 use crate::wsg::reply::{Data, Reply};
-use crate::wsg::{Force, GripperState, LoopData, Speed, Status, SystemState, Updates, Width};
+use crate::wsg::{CustomCommand, Force, GripperState, LoopData, Speed, Status, SystemState, Updates, Width};
 
 const ANSWER: Duration = Duration::from_millis(100);
 const RESULT: Duration = Duration::from_secs(5);
@@ -190,7 +190,9 @@ fn pending_stops_time_out_like_unanswered_ones() {
 
 #[test]
 fn nothing_that_a_waiting_stop_would_undo_is_written_before_it() {
-    for (stop, undone) in [(Command::Stop, grip()), (Command::FastStop, Command::AcknowledgeFastStop)] {
+    let script = || Command::Custom(CustomCommand::new(0xB0, vec![1]).unwrap());
+    let acknowledge = (Command::FastStop, Command::AcknowledgeFastStop);
+    for (stop, undone) in [(Command::Stop, grip()), (Command::Stop, script()), acknowledge] {
         for is_answered in [true, false] {
             let (mut rig, id) = (Rig::new(), stop.id());
             rig.submit(stop.clone());
@@ -315,6 +317,22 @@ fn motion_without_a_known_end_counts_as_moving() {
     rig.written();
     rig.pass(Duration::from_secs(1));
     assert_eq!(rig.refused(long()), NotTaken::LineTime { line_ms: 275 });
+}
+
+#[test]
+fn script_before_a_stop_is_not_written_after_it() {
+    let mut rig = Rig::new();
+    for _ in 0..2 {
+        rig.submit(Command::Stop);
+    }
+    assert_eq!(rig.written(), [id::STOP]);
+    rig.submit(Command::Custom(CustomCommand::new(0xB0, vec![1]).unwrap()));
+    rig.submit(Command::Stop);
+    assert_eq!(rig.written(), NOTHING);
+    rig.status(id::STOP, Status::E_SUCCESS);
+    assert_eq!(rig.written(), [id::STOP, 0xB0]);
+    rig.status(id::STOP, Status::E_SUCCESS);
+    assert_eq!(rig.written(), [id::STOP]);
 }
 
 #[test]
