@@ -133,6 +133,7 @@ impl LiveUpdates {
             event_position,
             topics,
             queued,
+            frames: SelectAll::new(),
         };
         subscription.watch_grippers();
         subscription
@@ -210,7 +211,9 @@ pub struct Subscription {
     /// Position in the events, if they are subscribed to.
     event_position: Option<EventPosition>,
     topics: BTreeSet<Topic>,
+    /// Events and grip records.
     queued: SelectAll<BoxStream<'static, Notification>>,
+    frames: SelectAll<BoxStream<'static, Notification>>,
 }
 
 impl Subscription {
@@ -233,7 +236,7 @@ impl Subscription {
             }
             let has_updates = self.topics.contains(&Topic::Frames);
             if has_updates || self.topics.contains(&Topic::Exchanges) {
-                self.queued.push(queued::frames(source.clone(), has_updates).boxed());
+                self.frames.push(queued::frames(source.clone(), has_updates).boxed());
             }
             self.watched.push(Watched { states: source.handle.states(), source, seq: 0, sent_at: None });
         }
@@ -307,7 +310,7 @@ impl Subscription {
             return rest;
         };
         let begin = begin.get();
-        while let Some(update) = unconstrained(self.next()).now_or_never() {
+        while let Some(Some(update)) = unconstrained(self.queued.next()).now_or_never() {
             let is_due = match update.method() {
                 "event" => position.get() <= begin,
                 method => matches!(method, "gap" | "grip"),
@@ -329,6 +332,7 @@ impl Subscription {
                 biased;
                 () = self.changes.wait() => self.watch_grippers(),
                 Some(update) = self.queued.next() => return update,
+                Some(update) = self.frames.next() => return update,
             }
         }
     }
