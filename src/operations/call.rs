@@ -95,12 +95,13 @@ impl Call {
         let Caller { client, lease, request_id, presence, .. } = self.caller.clone();
         // Operations that need no request id refuse an invalid one, too.
         let lease = lease.and_then(|lease| request_id.map(|_| lease));
-        let token = lease.as_ref().ok().and_then(Option::as_ref).filter(|_| self.may_operate(&name));
+        let keeps_lease = self.may_operate(&name);
+        let token = lease.as_ref().ok().and_then(Option::as_ref).filter(|_| keeps_lease);
         let used = token.map(|lease| LeaseUse::begin(&handle, lease, presence));
-        Ok(Gripper { handle, client, lease, used, presence })
+        Ok(Gripper { handle, client, lease, used, keeps_lease, presence })
     }
 
-    /// Whether the caller may still move the gripper; otherwise its requests do not keep the lease.
+    /// Whether the caller may still move the gripper.
     fn may_operate(&self, gripper: &Name) -> bool {
         self.caller.identity.as_ref().is_ok_and(|identity| identity.may(Right::Operate, Some(gripper)))
     }
@@ -181,6 +182,8 @@ pub struct Gripper {
     pub client: Client,
     lease: Result<Option<LeaseToken>, Problem>,
     used: Option<LeaseUse>,
+    /// Whether the client's requests keep its lease, which needs the right to move the gripper.
+    pub keeps_lease: bool,
     presence: Presence,
 }
 
@@ -226,7 +229,8 @@ impl Gripper {
     /// Adds the lease token among the parameters, and uses that lease.
     pub fn with_lease(self, field: Option<&str>) -> Result<Self, Problem> {
         let RequestKeys { lease, .. } = RequestKeys { lease: self.lease?, request_id: None }.or_fields(None, field)?;
-        let begin = || lease.as_ref().map(|lease| LeaseUse::begin(&self.handle, lease, self.presence));
+        let token = lease.as_ref().filter(|_| self.keeps_lease);
+        let begin = || token.map(|lease| LeaseUse::begin(&self.handle, lease, self.presence));
         let used = self.used.or_else(begin);
         Ok(Self { lease: Ok(lease), used, ..self })
     }
@@ -249,7 +253,7 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use crate::access::Identity;
+    use crate::access::{Identity, Role};
     use crate::gripper::fake::{self, FakeScript, Fate};
     use crate::gripper::model::{Client, Door};
     use crate::operations::{Wait, call};
@@ -280,6 +284,26 @@ mod tests {
             assert!(left_while_open.abs_diff(left_while_open_ms) < 500, "{presence:?}: {left_while_open}");
             let left_then = left().await;
             assert!(left_then > 59_500, "{presence:?}: {left_then}");
+        }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn lease_is_not_kept_without_the_right_to_move() {
+        let gateway = Gateway::of([fake::gripper("left", FakeScript::default()).0]);
+        let caller = Caller::new(Client::new("test", Door::Http), Ok(Identity::anyone()));
+        let ask = async |caller: &Caller, name: &str| -> Value {
+            let reply = call(&gateway, caller.clone(), name, json!({"gripper": "left"})).await.unwrap();
+            serde_json::from_str(reply.body.get()).unwrap()
+        };
+        let token = ask(&caller, "lease.take").await["token"].as_str().map(LeaseToken::from);
+        for (role, method, left_ms) in
+            [(Role::Operator, "state", 3000), (Role::Observer, "state", 2000), (Role::Stop, "stop", 1000)]
+        {
+            let identity = Identity { role, ..Identity::anyone() };
+            let holder = Caller { lease: Ok(token.clone()), identity: Ok(identity), ..caller.clone() };
+            ask(&holder, method).await;
+            assert_eq!(ask(&caller, "lease").await["expires_in_ms"], left_ms, "{role:?}");
+            tokio::time::sleep(Duration::from_secs(1)).await;
         }
     }
 

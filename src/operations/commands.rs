@@ -34,6 +34,7 @@ pub(super) async fn submit(
 ) -> Result<(CommandReport, Ticket), Problem> {
     let RequestKeys { request_id, lease } = keys;
     let gripper = gripper.with_lease(lease.as_ref().map(LeaseToken::as_str))?;
+    let lease = lease.filter(|_| gripper.keeps_lease);
     let submission = Submission { client: gripper.client.clone(), action, request_id, lease };
     // During the wait the request keeps the lease alive; the ticket does not.
     let mut ticket = gripper.handle.submit(submission).await?.watched();
