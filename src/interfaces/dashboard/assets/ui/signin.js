@@ -60,12 +60,9 @@ function PinField() {
 
 /** Gives up control of all grippers, and then the rights of the PIN. */
 async function lock() {
-  await Promise.all(
-    grippers
-      .peek()
-      .filter((one) => one.isMine.peek())
-      .map(releaseControl),
-  );
+  const mine = grippers.peek().filter((one) => one.isMine.peek());
+  // One after the other: the gateway limits the requests in progress.
+  await mine.reduce((released, one) => released.then(() => releaseControl(one)), Promise.resolve());
   await forgetPin();
 }
 
