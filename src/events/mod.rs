@@ -306,10 +306,15 @@ impl Subscription {
     /// gap in their place, and grip records. Frames are left out: the successor's begin at once.
     pub fn rest(&mut self, successor: &Self) -> Vec<Notification> {
         let mut rest = Vec::new();
-        let (Some(position), Some(begin)) = (self.event_position.clone(), &successor.event_position) else {
+        let (Some(position), Some(first)) = (self.event_position.clone(), &successor.event_position) else {
             return rest;
         };
-        let begin = begin.get();
+        let sent = position.get();
+        if sent > first.get() && self.only == successor.only {
+            // Events that were sent since the successor was made are not sent again.
+            first.set(sent);
+        }
+        let begin = first.get();
         while let Some(Some(update)) = unconstrained(self.queued.next()).now_or_never() {
             let is_due = match update.method() {
                 "event" => position.get() <= begin,

@@ -59,7 +59,7 @@ impl EventPosition {
         self.0.load(Ordering::Relaxed)
     }
 
-    fn set(&self, seq: i64) {
+    pub(super) fn set(&self, seq: i64) {
         self.0.store(seq, Ordering::Relaxed);
     }
 }

@@ -86,15 +86,26 @@ async fn new_subscription_loses_no_event() {
     let successor = updates.subscribe(None, [Topic::Events]);
     assert_eq!(seqs(&replaced.rest(&successor)), (6..=305).map(|seq| ("event", seq)).collect::<Vec<_>>());
 
+    // The replaced subscription goes on until the new one begins.
+    let mut replaced = updates.subscribe(None, [Topic::Events]);
+    let mut successor = updates.subscribe(None, [Topic::Events]);
+    for recorded in 306..=308 {
+        record(&journal, None);
+        until(&journal, first + recorded).await;
+    }
+    assert_eq!(seqs(&[replaced.next().await]), [("event", 306)]);
+    assert_eq!(seqs(&replaced.rest(&successor)), []);
+    assert_eq!(seqs(&[successor.next().await, successor.next().await]), [("event", 307), ("event", 308)]);
+
     // Without its receiver, the events can no longer be sent.
     let mut replaced = updates.subscribe(None, [Topic::Events]);
-    for recorded in 306..=308 {
+    for recorded in 309..=311 {
         record(&journal, None);
         until(&journal, first + recorded).await;
     }
     replaced.queued.clear();
     let gaps = replaced.rest(&updates.subscribe(None, [Topic::Events]));
-    assert_eq!((seqs(&gaps), &body(&gaps[0])["missed"]), (vec![("gap", 305)], &3.into()));
+    assert_eq!((seqs(&gaps), &body(&gaps[0])["missed"]), (vec![("gap", 308)], &3.into()));
 }
 
 #[tokio::test]

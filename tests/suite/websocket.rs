@@ -112,7 +112,7 @@ async fn events_continue_when_a_socket_subscribes_again() {
             } else {
                 open.remove(&message["id"].as_u64().unwrap());
                 let event_seq = message["result"]["event_seq"].as_i64();
-                assert!(event_seq.is_none_or(|seq| seq == last), "{message} after event {last}");
+                assert!(event_seq.is_none_or(|seq| seq <= last), "{message} after event {last}");
             }
         }
     }
