@@ -51,18 +51,24 @@ fn failed_motion_says_why() {
     }
 }
 
-#[test]
-fn waiting_stop_goes_before_the_next_motion() {
+/// Begins a motion and cancels it so many times. The device has not replied to the Stop.
+fn cancelled(times: usize) -> Rig {
     let mut rig = Rig::connected(config(TCP));
     rig.device.held.insert(id::STOP);
-    let (cancelled, _) = release(&mut rig);
+    let (id, _) = release(&mut rig);
     rig.reply(id::RELEASE, Status::E_CMD_PENDING, &[]);
-    for _ in 0..2 {
+    for _ in 0..times {
         let (answer, _) = oneshot::channel();
-        rig.actor.request(rig.now, ActorRequest::Cancel { id: cancelled, client: client(), answer });
+        rig.actor.request(rig.now, ActorRequest::Cancel { id, client: client(), answer });
         rig.exchange();
     }
     assert_eq!(rig.count(id::STOP), 1);
+    rig
+}
+
+#[test]
+fn waiting_stop_goes_before_the_next_motion() {
+    let mut rig = cancelled(2);
     rig.reply(id::RELEASE, Status::E_CMD_ABORTED, &[]);
     rig.pass(60);
     release(&mut rig);
@@ -76,13 +82,7 @@ fn waiting_stop_goes_before_the_next_motion() {
 
 #[test]
 fn own_stop_without_success_is_repeated() {
-    let mut rig = Rig::connected(config(TCP));
-    rig.device.held.insert(id::STOP);
-    let (cancelled, _) = release(&mut rig);
-    rig.reply(id::RELEASE, Status::E_CMD_PENDING, &[]);
-    let (answer, _) = oneshot::channel();
-    rig.actor.request(rig.now, ActorRequest::Cancel { id: cancelled, client: client(), answer });
-    rig.exchange();
+    let mut rig = cancelled(1);
     for sent in 1..=3 {
         assert_eq!(rig.count(id::STOP), sent);
         rig.reply(id::STOP, Status::E_CHECKSUM_ERROR, &[]);
@@ -93,13 +93,7 @@ fn own_stop_without_success_is_repeated() {
 
 #[test]
 fn own_stop_is_not_repeated_for_the_next_motion() {
-    let mut rig = Rig::connected(config(TCP));
-    rig.device.held.insert(id::STOP);
-    let (cancelled, _) = release(&mut rig);
-    rig.reply(id::RELEASE, Status::E_CMD_PENDING, &[]);
-    let (answer, _) = oneshot::channel();
-    rig.actor.request(rig.now, ActorRequest::Cancel { id: cancelled, client: client(), answer });
-    rig.exchange();
+    let mut rig = cancelled(1);
     rig.reply(id::RELEASE, Status::E_CMD_ABORTED, &[]);
     rig.pass(60);
     release(&mut rig);
