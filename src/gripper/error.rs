@@ -68,7 +68,7 @@ pub enum Conflict {
     FastStopPersists { id: FastStopId, flags: String },
     #[error("{}", stale_fast_stop(*given, *current))]
     StaleFastStop { given: FastStopId, current: Option<FastStopId> },
-    #[error("the device has not confirmed FAST STOP {id} yet: acknowledge it after the confirmation")]
+    #[error("the device has not confirmed FAST STOP {id} yet: wait for the confirmation, then try again")]
     FastStopUnconfirmed { id: FastStopId },
     #[error("another acknowledgement is in progress: wait for its result")]
     Acknowledging { id: Option<FastStopId> },
@@ -131,22 +131,28 @@ fn lease_held(holder: &str, expires_in_ms: Option<u64>) -> String {
              `request`, or take it with `force`, which stops a running motion"
         ),
         None => format!(
-            "the gripper is reserved for {holder}, whose lease was lost while a part was held: another \
-             client needs `force` to take it"
+            "the gripper is reserved for {holder}, whose lease was lost while a part was held or a motion continued: \
+             another client needs `force` to take it"
         ),
     }
 }
 
 fn stale_lease(epoch: u64, holder: Option<&str>) -> String {
     match holder {
-        Some(holder) => format!("the lease token is no longer valid: {holder} holds lease {epoch}"),
-        None => format!("the lease token is not valid: no lease is held (newest: {epoch}); take the lease again"),
+        Some(holder) => format!(
+            "the lease token is no longer valid: {holder} holds the lease (epoch {epoch}); wait, or ask for a hand-over"
+        ),
+        None => format!(
+            "the lease token is not valid: nobody holds the lease (newest epoch: {epoch}); take the lease again"
+        ),
     }
 }
 
 fn stale_fast_stop(given: FastStopId, current: Option<FastStopId>) -> String {
     match current {
-        Some(current) => format!("FAST STOP {given} is not the newest: FAST STOP {current} is latched now"),
+        Some(current) => format!(
+            "FAST STOP {given} is not the newest: remove the cause of FAST STOP {current}, then acknowledge that one"
+        ),
         None => format!("no FAST STOP is latched, so {given} cannot be acknowledged"),
     }
 }
@@ -220,6 +226,9 @@ pub enum Failure {
     Draining,
     #[error("the device did not answer {command} within {waited_ms} ms")]
     DeviceTimeout { command: &'static str, waited_ms: u64 },
+    /// The device sends this value by itself, but has not sent it yet. The width follows only after homing.
+    #[error("the device has not sent the value of {command} yet: home it if it is not referenced, then try again")]
+    NoValueYet { command: &'static str },
     /// The device never received the request.
     #[error("{command} was not sent, because an earlier request still had no reply: try again later")]
     NotSent { command: &'static str },
@@ -252,7 +261,7 @@ impl Failure {
     const fn code(&self) -> Code {
         match self {
             Self::LinkDown { .. } | Self::Draining => Code::LinkDown,
-            Self::DeviceTimeout { .. } | Self::NotSent { .. } => Code::DeviceTimeout,
+            Self::DeviceTimeout { .. } | Self::NoValueYet { .. } | Self::NotSent { .. } => Code::DeviceTimeout,
             Self::DeviceProtocol { .. } => Code::DeviceProtocol,
             Self::JournalDown { .. } => Code::JournalDown,
             Self::Overloaded { .. } | Self::RequestIds { .. } | Self::FlashWear { .. } => Code::Overloaded,

@@ -363,8 +363,9 @@ impl LatchState {
     }
 }
 
-/// Whether a FAST STOP keeps its cause when another one follows. A driver on the WSG port may clear what it has caused
-/// itself, so neither its FAST STOP nor its loss hides what somebody else has asked for.
+/// Whether an earlier FAST STOP keeps its client, cause and reason when another one follows. A client on the WSG port
+/// may acknowledge a FAST STOP that it caused itself. So neither its FAST STOP nor its loss replaces the cause that
+/// another client gave.
 fn outlives(earlier: &Latch, request: &FastStopRequest) -> bool {
     match request.cause {
         FastStopCause::ClientLost => earlier.cause != FastStopCause::ClientLost,

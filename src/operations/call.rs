@@ -127,14 +127,14 @@ impl Call {
         }
     }
 
-    /// Returns the gripper and the parameters of a request that needs no lease.
-    pub fn open<P: DeserializeOwned>(&self) -> Result<(Gripper, P), Problem> {
+    /// Returns the gripper and the parameters. A lease token among them counts only after [`Gripper::with_lease`].
+    pub fn gripper_and_fields<P: DeserializeOwned>(&self) -> Result<(Gripper, P), Problem> {
         Ok((self.gripper()?, self.fields()?))
     }
 
     /// Returns the gripper of a request with no parameters but a lease token.
     pub fn leased(&self) -> Result<Gripper, Problem> {
-        let (gripper, Leased { lease }) = self.open()?;
+        let (gripper, Leased { lease }) = self.gripper_and_fields()?;
         gripper.with_lease(lease.as_deref())
     }
 

@@ -11,7 +11,7 @@ pub struct ConnectionLease {
     token: LeaseToken,
     epoch: u64,
     takes: u64,
-    /// Keeps a lease without a time to live for as long as the connection lives.
+    /// Guard that keeps the lease alive while the connection lives; `None` for a lease that expires without use.
     _keep: Option<LeaseKeepAlive>,
 }
 

@@ -68,7 +68,7 @@ async fn count(gripper: Gripper, reset: bool) -> Result<Json<StatisticsAnswer>, 
 }
 
 async fn statistics(call: Call) -> Result<Json<StatisticsAnswer>, Problem> {
-    let (gripper, NoFields {}) = call.open()?;
+    let (gripper, NoFields {}) = call.gripper_and_fields()?;
     count(gripper, false).await
 }
 
@@ -117,7 +117,7 @@ pub struct LoopAnswer {
 }
 
 async fn loop_back(call: Call) -> Result<Json<LoopAnswer>, Problem> {
-    let (gripper, body): (_, Loop) = call.open()?;
+    let (gripper, body): (_, Loop) = call.gripper_and_fields()?;
     let given = bytes("data", &body.data, MAX_LOOP_BYTES)?;
     let sent = given.len();
     let data = LoopData::new(given).ok_or_else(|| Problem::too_long("data", sent, MAX_LOOP_BYTES))?;

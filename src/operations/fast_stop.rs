@@ -156,7 +156,7 @@ pub struct Acknowledged {
 }
 
 async fn acknowledge(call: Call) -> Result<Json<Acknowledged>, Problem> {
-    let (gripper, body): (_, Acknowledge) = call.open()?;
+    let (gripper, body): (_, Acknowledge) = call.gripper_and_fields()?;
     let parse = |id: String| {
         id.parse::<FastStopId>().map_err(|error| {
             let detail = format!("fast_stop_id is not a UUID: {error}");

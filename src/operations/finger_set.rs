@@ -104,13 +104,13 @@ pub struct SetFingerSet {
 }
 
 fn get(call: &Call) -> Result<Json<FingerSetAnswer>, Problem> {
-    let (gripper, NoFields {}) = call.open()?;
+    let (gripper, NoFields {}) = call.gripper_and_fields()?;
     let name = gripper.handle.name();
     Ok(Json(FingerSetAnswer::of(name, call.gateway.wear.finger_set(name).as_ref())))
 }
 
 async fn set(call: Call) -> Result<Json<FingerSetAnswer>, Problem> {
-    let (gripper, SetFingerSet { id, maintenance_cycles, maintenance_travel_m, reset }) = call.open()?;
+    let (gripper, SetFingerSet { id, maintenance_cycles, maintenance_travel_m, reset }) = call.gripper_and_fields()?;
     let cycles = |cycles| integer("maintenance_cycles", cycles, 1..=MAX_CYCLES);
     let is_wrong = |travel_m: &f64| !(MIN_TRAVEL_M..=MAX_TRAVEL_M).contains(travel_m);
     if let Some(travel_m) = maintenance_travel_m.filter(is_wrong) {

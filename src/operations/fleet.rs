@@ -29,8 +29,10 @@ pub const FAST_STOP: Operation =
 pub const ACKNOWLEDGE: Operation =
     Operation::change("fleet.acknowledge", &Verb::POST, "/fleet/acknowledge", |call| reply(acknowledge(call)));
 
-/// Most FAST STOPs that one request acknowledges, and most grippers at the same time.
+/// Most FAST STOPs that one request acknowledges.
 const MAX_IDS: usize = 256;
+
+/// Most grippers that are acknowledged at the same time.
 const MAX_AT_ONCE: usize = 16;
 
 /// The grippers of all gateways.

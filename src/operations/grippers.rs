@@ -35,21 +35,21 @@ fn list(call: &Call) -> Result<Json<GripperList>, Problem> {
 }
 
 fn info(call: &Call) -> Result<Json<Arc<Info>>, Problem> {
-    let (gripper, NoFields {}) = call.open()?;
+    let (gripper, NoFields {}) = call.gripper_and_fields()?;
     Ok(Json(gripper.with_lease(None)?.handle.info()))
 }
 
 fn status(call: &Call) -> Result<Json<GripperStatus>, Problem> {
-    let (gripper, NoFields {}) = call.open()?;
+    let (gripper, NoFields {}) = call.gripper_and_fields()?;
     Ok(Json(GripperStatus::of(&gripper.with_lease(None)?.handle.state())))
 }
 
 fn state(call: &Call) -> Result<Json<Arc<State>>, Problem> {
-    let (gripper, NoFields {}) = call.open()?;
+    let (gripper, NoFields {}) = call.gripper_and_fields()?;
     Ok(Json(gripper.with_lease(None)?.handle.state()))
 }
 
 fn trend(call: &Call) -> Result<Json<Trend>, Problem> {
-    let (gripper, NoFields {}) = call.open()?;
+    let (gripper, NoFields {}) = call.gripper_and_fields()?;
     Ok(Json(call.gateway.trends.of(gripper.with_lease(None)?.handle.name())))
 }

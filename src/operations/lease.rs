@@ -34,7 +34,7 @@ pub const HAND_OVER: Operation =
 type Answer = Result<Json<Lease>, Problem>;
 
 async fn get(call: Call) -> Answer {
-    let (gripper, NoFields {}) = call.open()?;
+    let (gripper, NoFields {}) = call.gripper_and_fields()?;
     Ok(Json(gripper.with_lease(None)?.handle.lease().await?))
 }
 
@@ -72,7 +72,7 @@ pub struct Take {
 }
 
 async fn take(call: Call) -> Result<OperationReply, Problem> {
-    let (gripper, body): (_, Take) = call.open()?;
+    let (gripper, body): (_, Take) = call.gripper_and_fields()?;
     let gripper = gripper.with_lease(body.lease.as_deref())?;
     if body.force {
         call.require(Right::Supervise)?;
@@ -127,7 +127,7 @@ pub struct HandOver {
 }
 
 async fn hand_over(call: Call) -> Answer {
-    let (gripper, body): (_, HandOver) = call.open()?;
+    let (gripper, body): (_, HandOver) = call.gripper_and_fields()?;
     let gripper = gripper.with_lease(body.lease.as_deref())?;
     let to = text::<64>("to", &body.to)?;
     Ok(Json(gripper.handle.hand_over(gripper.token(), to.as_str().to_owned()).await?))

@@ -1,4 +1,4 @@
-//! An operation: its name, path, role, urgency and function.
+//! An operation: its name, path, right, urgency and function.
 
 use futures_util::future::{BoxFuture, FutureExt as _};
 use http::Method as Verb;

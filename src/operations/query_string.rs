@@ -12,7 +12,7 @@ use super::problem::Problem;
 pub struct QueryString(Vec<(String, String)>);
 
 impl QueryString {
-    /// Parses the query of a URI. [`Query::only`] checks the names.
+    /// Parses the query of a URI. [`QueryString::only`] checks the names.
     pub fn of(uri: &Uri) -> Result<Self, Problem> {
         let Pairs(pairs) =
             Pairs::try_from_uri(uri).map_err(|error| Problem::malformed("query", format!("invalid query: {error}")))?;

@@ -262,7 +262,7 @@ impl SetRecipe {
         for (name, own) in given {
             let place = format!("{place}grippers.{name}");
             let name: Name = name.parse().map_err(|error| Problem::malformed(&place, format!("{place}: {error}")))?;
-            // Limits can come from both.
+            // The accepted widths can come partly from the gripper's own values and partly from the common ones.
             check(&own.or(values), &format!("{place}."))?;
             grippers.insert(name, own);
         }

@@ -26,7 +26,7 @@ use crate::gripper::model::{Code, Urgency};
 /// Notes that a browser's session is used, which keeps it and its PIN from expiring.
 pub fn note_use(access: &Access, operation: &Operation, identity: &Result<Identity, Unauthorized>) {
     if let Some(session) = identity.as_ref().ok().and_then(|identity| identity.session.as_ref()) {
-        // A page renews its lease by itself.
+        // A web page renews its lease by itself, so a renewal does not show that its user is active.
         let is_change = operation.changes_something() && operation.urgency != Urgency::Lease;
         access.note_use(session, is_change);
     }

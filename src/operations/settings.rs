@@ -84,12 +84,12 @@ async fn exchange_acceleration(gripper: Gripper, command: wsg::Command) -> Answe
 }
 
 async fn get_acceleration(call: Call) -> Answer<AccelerationAnswer> {
-    let (gripper, NoFields {}) = call.open()?;
+    let (gripper, NoFields {}) = call.gripper_and_fields()?;
     exchange_acceleration(gripper, wsg::Command::GetAcceleration).await
 }
 
 async fn set_acceleration(call: Call) -> Answer<AccelerationAnswer> {
-    let (gripper, body): (_, AccelerationSetting) = call.open()?;
+    let (gripper, body): (_, AccelerationSetting) = call.gripper_and_fields()?;
     let gripper = gripper.with_lease(body.lease.as_deref())?;
     let acceleration = acceleration("acceleration_mm_s2", body.acceleration_mm_s2)?;
     exchange_acceleration(gripper, wsg::Command::SetAcceleration(acceleration)).await
@@ -126,12 +126,12 @@ async fn exchange_force_limit(gripper: Gripper, command: wsg::Command) -> Answer
 }
 
 async fn get_force_limit(call: Call) -> Answer<ForceLimitAnswer> {
-    let (gripper, NoFields {}) = call.open()?;
+    let (gripper, NoFields {}) = call.gripper_and_fields()?;
     exchange_force_limit(gripper, wsg::Command::GetForceLimit).await
 }
 
 async fn set_force_limit(call: Call) -> Answer<ForceLimitAnswer> {
-    let (gripper, body): (_, ForceLimitSetting) = call.open()?;
+    let (gripper, body): (_, ForceLimitSetting) = call.gripper_and_fields()?;
     let gripper = gripper.with_lease(body.lease.as_deref())?;
     exchange_force_limit(gripper, wsg::Command::SetForceLimit(force("force_n", body.force_n)?)).await
 }
@@ -182,12 +182,12 @@ async fn exchange_soft_limits(gripper: Gripper, command: wsg::Command) -> Answer
 }
 
 async fn get_soft_limits(call: Call) -> Answer<SoftLimitsAnswer> {
-    let (gripper, NoFields {}) = call.open()?;
+    let (gripper, NoFields {}) = call.gripper_and_fields()?;
     exchange_soft_limits(gripper, wsg::Command::GetSoftLimits).await
 }
 
 async fn set_soft_limits(call: Call) -> Answer<SoftLimitsAnswer> {
-    let (gripper, body): (_, SoftLimitsSetting) = call.open()?;
+    let (gripper, body): (_, SoftLimitsSetting) = call.gripper_and_fields()?;
     let gripper = gripper.with_lease(body.lease.as_deref())?;
     let (minus, plus) = (width("minus_mm", body.minus_mm)?, width("plus_mm", body.plus_mm)?);
     let limits = SoftLimits::new(minus, plus)
@@ -229,7 +229,7 @@ fn overdrive_of(gripper: &Gripper, state: SystemState) -> Json<OverdriveAnswer> 
 }
 
 fn get_overdrive(call: &Call) -> Answer<OverdriveAnswer> {
-    let (gripper, NoFields {}) = call.open()?;
+    let (gripper, NoFields {}) = call.gripper_and_fields()?;
     let state = gripper.handle.state();
     let never_heard = || Failure::LinkDown {
         link: state.link,
@@ -240,7 +240,7 @@ fn get_overdrive(call: &Call) -> Answer<OverdriveAnswer> {
 }
 
 async fn set_overdrive(call: Call) -> Answer<OverdriveAnswer> {
-    let (gripper, body): (_, OverdriveSetting) = call.open()?;
+    let (gripper, body): (_, OverdriveSetting) = call.gripper_and_fields()?;
     let gripper = gripper.with_lease(body.lease.as_deref())?;
     let state = ask(&gripper, wsg::Command::OverdriveMode { on: body.enabled }, only!(Data::SystemState)).await?;
     Ok(overdrive_of(&gripper, state))
@@ -282,12 +282,12 @@ async fn exchange_tag(gripper: Gripper, command: wsg::Command) -> Answer<TagAnsw
 }
 
 async fn get_tag(call: Call) -> Answer<TagAnswer> {
-    let (gripper, NoFields {}) = call.open()?;
+    let (gripper, NoFields {}) = call.gripper_and_fields()?;
     exchange_tag(gripper, wsg::Command::GetDeviceTag).await
 }
 
 async fn set_tag(call: Call) -> Answer<TagAnswer> {
-    let (gripper, TagSetting { tag, lease }) = call.open()?;
+    let (gripper, TagSetting { tag, lease }) = call.gripper_and_fields()?;
     let gripper = gripper.with_lease(lease.as_deref())?;
     let refused = |error: InvalidDeviceTag| match error {
         InvalidDeviceTag::TooLong => Problem::too_long("tag", tag.len(), DeviceTag::MAX_BYTES),

@@ -50,7 +50,8 @@ impl fmt::Debug for Pipe {
 pub struct LinkProperties {
     /// URL scheme.
     pub name: &'static str,
-    /// Whether the device detects the end of the connection: a FAST STOP unless announced (`fw4-en 3.1.2`).
+    /// Whether the device notices the end of a connection. Unless announced with 07h, the end is then a FAST STOP
+    /// (`fw4-en 3.1.2`).
     pub connection_oriented: bool,
     /// Line rate, or `None` if it does not matter.
     pub bytes_per_second: Option<u32>,

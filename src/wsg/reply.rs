@@ -183,8 +183,8 @@ impl Data {
         })
     }
 
-    /// Returns the data as a reply of `id` carries them, or [`Data::None`] if it cannot. The data of a setter are read
-    /// back afterwards, so they are not part of its reply.
+    /// Returns the data if a reply to `id` can carry data of this size, else [`Data::None`]. A setter's own reply has
+    /// no data: its value was read back with another request.
     #[must_use]
     pub fn of_reply(self, id: u8) -> Self {
         let mut bytes = Vec::new();

@@ -194,7 +194,7 @@ impl Actor {
                 Err(not_here("it can move the fingers; submit it as a command"))
             }
             command if id::has_updates(command.id()) && self.observed.newest(command.id()).is_none() => {
-                Err(Failure::DeviceTimeout { command: super::name_of(command), waited_ms: 0 }.into())
+                Err(Failure::NoValueYet { command: super::name_of(command) }.into())
             }
             _ => Ok(()),
         }

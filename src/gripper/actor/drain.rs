@@ -118,7 +118,7 @@ impl Actor {
             _ if self.drain.is_some() => Err(Failure::Draining.into()),
             _ if self.link.is_released() => Ok(()),
             Some(id) => Err(Conflict::AlreadyRunning { id }.into()),
-            // The FAST STOP is sent for as long as the gateway connects to the device.
+            // The gateway repeats a FAST STOP only while it is connected, so it must not leave before the confirmation.
             None if self.latch.is_unconfirmed() => {
                 self.latch.id().map_or(Ok(()), |id| Err(Conflict::FastStopUnconfirmed { id }.into()))
             }
@@ -220,8 +220,8 @@ impl Actor {
         }
     }
 
-    /// Sends the last requests: 07h if the transport has connections. Otherwise the updates are switched off, which
-    /// would go on without the gateway, after a Stop if the fingers move.
+    /// Sends the last requests. On a transport with connections, that is 07h. On others, it is a Stop if the fingers
+    /// move, then the requests that switch the updates off, because the device would go on sending them.
     fn leave(&mut self, now: Now) {
         let mut is_sent = false;
         if !self.link.is_down() {

@@ -85,7 +85,8 @@ impl Actor {
     }
 
     /// Notices a restart of the device by the loss of its reference, unless the fingers are being homed by this gateway
-    /// or another program. On a transport without connections, no other sign shows a restart.
+    /// or another program. On a transport without connections, the only other signs of a restart are silence and missed
+    /// updates.
     fn notice_restart(&mut self, now: Now, before: Option<SystemState>, flags: SystemState) {
         let was_referenced = before.is_some_and(|before| before.contains(SystemState::REFERENCED));
         let homes = flags.contains(SystemState::MOVING) || self.motion.is_homing();
@@ -107,7 +108,8 @@ impl Actor {
             return self.scripts.rested();
         }
         let begins = before.is_some_and(|before| !moves(before));
-        // A held part can be released by a script. After a part is lost, the fingers close further.
+        // Scripts are checked before a held part, since a script can release it. After a part is lost, the fingers
+        // close further by themselves.
         if !begins || self.motion.is_sent() || self.is_part_lost() || self.script_moves(now) {
             return;
         }

@@ -79,7 +79,8 @@ impl Actor {
         }
     }
 
-    /// Records a lost part. A loss that the first state shows, without a known grip, is not recorded.
+    /// Records a lost part. If the first known gripper state already shows the loss and no grip is known, the part was
+    /// lost earlier, and nothing is recorded.
     fn record_lost_part(&mut self, now: Now, is_first_look: bool) {
         let grip = self.observed.part.grip.take();
         if is_first_look && grip.is_none() {

@@ -189,8 +189,8 @@ impl Actor {
         self.streaming.stopped();
     }
 
-    /// Whether the fingers are known to move or to be about to, a stream was active at `at`, or a motion that has
-    /// ended without a sign of the device may still be running.
+    /// Whether the fingers are known to move or to be about to, a stream was active at `at`, or a motion whose result
+    /// is unknown may still be running.
     pub(super) fn is_moving(&self, at: Instant) -> bool {
         let moves_unseen = self.motion.moves_unseen(at);
         self.motion.is_under_way() || self.observed.has(SystemState::MOVING) || self.is_streaming(at) || moves_unseen

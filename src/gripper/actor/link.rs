@@ -401,7 +401,8 @@ impl DeviceLink {
         }
     }
 
-    /// Sends a repeated Stop, unless a Stop is pending. There is nothing to stop, as far as known.
+    /// Sends another Stop for a client that repeats its Stop, unless a Stop is pending. As far as the gateway knows,
+    /// the fingers stand still.
     pub(super) fn stop_again(&mut self, now: Now) {
         if !self.purposes.values().any(|purpose| matches!(purpose, Purpose::Stop(_) | Purpose::OwnStop(_))) {
             self.send_stop(now, OwnStop::new(None));

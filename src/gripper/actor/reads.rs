@@ -17,7 +17,7 @@ use crate::wsg::{Command, Data, Reply};
 /// Longest time for which a value is served.
 const FRESH_FOR: Duration = Duration::from_secs(2);
 
-/// Clients that can wait for one read: as many as there can be connections.
+/// Most callers that wait for one read, as many as there can be WebSockets and event streams. Further ones are refused.
 const MAX_READERS: usize = 1024;
 
 /// Values read, and reads under way, by id.

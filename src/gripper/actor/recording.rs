@@ -19,7 +19,8 @@ use super::persistence::LastReported;
 use super::repeats::Repeats;
 use crate::wsg::SystemState;
 
-/// Time limit for a command's record. After it, the command is refused or proceeds at once; it is never sent later.
+/// Time limit for a command's record to become durable. When it expires, the command is refused, or it proceeds without
+/// the record if `on_journal_failure` is `continue`. Either happens at once: no command waits longer for the journal.
 const RECORDED_WITHIN: Duration = Duration::from_millis(500);
 
 /// The gripper's side of the journal.

@@ -139,7 +139,7 @@ pub(super) struct MotionState {
     pub last_end: Option<Instant>,
     /// Time until which the fingers can move because of a motion that has ended.
     may_move_until: Option<Instant>,
-    /// The same time, if the motion ended without a sign of the device, and no flags have arrived since.
+    /// The same time, if the motion's result is unknown and no flags have arrived since.
     unseen_until: Option<Instant>,
 }
 
@@ -241,7 +241,7 @@ impl MotionState {
         self.running.as_ref().is_some_and(|running| !running.is_waiting())
     }
 
-    /// Notes that the motion has ended without a sign of the device.
+    /// Notes that the motion's result is unknown, so that the fingers count as moving until flags arrive.
     pub(super) fn lose_sight(&mut self) {
         self.unseen_until = self.may_move_until;
     }
@@ -251,7 +251,7 @@ impl MotionState {
         self.unseen_until = None;
     }
 
-    /// Whether the fingers can be moving because of a motion that ended without a sign of the device.
+    /// Whether the fingers may still be moving because of a motion whose result is unknown.
     pub(super) fn moves_unseen(&self, at: Instant) -> bool {
         self.unseen_until.is_some_and(|until| at < until)
     }

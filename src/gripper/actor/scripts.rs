@@ -40,7 +40,7 @@ struct ScriptUse {
     is_suspect: bool,
 }
 
-/// Scripts that can move the fingers: one for each client, which needs a recent, running or unanswered request.
+/// Scripts that can move the fingers: one for each client with a recent, running or unanswered script request.
 #[derive(Debug, Default)]
 pub(super) struct Scripts {
     uses: Vec<ScriptUse>,
@@ -103,8 +103,8 @@ impl Actor {
         self.end_script(now, token, ClientEnd::Announced);
     }
 
-    /// Takes the loss of a client. A motion of its script counts as a loss while the fingers move: at once, or once the
-    /// script begins the motion.
+    /// Takes the loss of a script's client. If the script moves the fingers, now or soon after, its client is given the
+    /// free lease and loses it at once, so that `on_loss_moving` decides what happens.
     pub(super) fn script_client_lost(&mut self, now: Now, token: &LeaseToken) {
         let Some(script) = self.end_script(now, Some(token), ClientEnd::Lost) else { return };
         let is_stopping = self.latch.id().is_some();

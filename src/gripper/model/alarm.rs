@@ -16,7 +16,8 @@ use super::{AlarmId, ClientLabel, FastStopId, Name, PartId};
 /// - `not_reached`: the device has not been reached since the gateway started
 /// - `link_down`: the link to the device is lost, or the device is silent
 /// - `link_released`: the link was closed by a `disconnect` request
-/// - `holder_lost`: the lease holder was lost while a part was held, and the gripper is reserved for it
+/// - `holder_lost`: the lease holder was lost while a part was held or a motion continued, and the gripper is reserved
+///   for it
 /// - `part_lost`: the device has lost its part
 /// - `settings_lost`: the device lost settings that could not be restored
 /// - `journal_down`: the journal cannot be written

@@ -16,7 +16,8 @@ macro_rules! codes {
         /// - `too_large`: the body is too large.
         /// - `fast_stop`: a FAST STOP is latched; acknowledge it once its cause is gone.
         /// - `not_referenced`: the fingers are not referenced; home the gripper first.
-        /// - `already_running`: a command is running; wait for its end or stop it.
+        /// - `already_running`: a command or an acknowledgement is running, or the fingers move; wait for its end or
+        ///   stop it.
         /// - `release_first`: the device refuses a grip, because its last grip went in the opposite direction; release
         ///   first.
         /// - `lease_held`: another client holds the lease, or the gripper is reserved.
@@ -26,12 +27,13 @@ macro_rules! codes {
         /// - `request_id_reused`: the request id was used for another request.
         /// - `name_taken`: another gateway on the Zenoh network has the same name.
         /// - `out_of_range`: a value is beyond its limits.
-        /// - `device_refused`: the device refused the request, or ended its motion, with a status that has no code of
-        ///   its own.
-        /// - `overloaded`: too many requests are waiting, or the device tag was written too often; try again later.
+        /// - `device_refused`: the device refused the request, ended its motion with a status that has no code of its
+        ///   own, or refused to take back settings that it had lost.
+        /// - `overloaded`: too many requests are waiting, a client has used too many request ids, or the device tag was
+        ///   written too often; try again later.
         /// - `internal`: internal error of the gateway.
         /// - `device_protocol`: the device sent an invalid reply.
-        /// - `link_down`: the link to the device does not work.
+        /// - `link_down`: the link to the device does not work, or the gateway is disconnecting from the gripper.
         /// - `journal_down`: the journal cannot be written or read.
         /// - `device_timeout`: the device did not answer in time.
         /// - `gateway_gone`: the gateway that owns the gripper is gone; nothing was sent to it.

@@ -169,8 +169,8 @@ pub struct Lease {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false, minimum = 1, maximum = 16)]
     pub place: Option<usize>,
-    /// Name of a holder that was lost while a part was held. Only this client or a supervisor can take the lease. Null
-    /// if the gripper is not reserved.
+    /// Name of a holder that was lost while a part was held or a motion continued. Only this client or a supervisor can
+    /// take the lease. Null if the gripper is not reserved.
     #[schema(value_type = Option<String>, required)]
     pub reserved_for: Option<Arc<str>>,
 }

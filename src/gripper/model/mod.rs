@@ -382,7 +382,8 @@ pub struct CommandReport {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false, minimum = -1000, maximum = 1000)]
     pub contact_width_mm: Option<f32>,
-    /// Force with the greatest magnitude up to the end of a grip, in N. Its record has the force of a longer time.
+    /// Force with the greatest magnitude up to the end of a grip, in N. The grip record's peak also covers the second
+    /// after the end.
     #[serde(skip)]
     pub peak_force_n: Option<f32>,
     /// Time of admission.

@@ -162,8 +162,8 @@ pub struct State {
     /// Name of the lease holder; null while the lease is free.
     #[schema(value_type = Option<String>, required)]
     pub lease_holder: Option<Arc<str>>,
-    /// Name of a lease holder that was lost while a part was held. Only this client or a supervisor can take the lease.
-    /// Null if the gripper is not reserved.
+    /// Name of a lease holder that was lost while a part was held or a motion continued. Only this client or a
+    /// supervisor can take the lease. Null if the gripper is not reserved.
     #[schema(value_type = Option<String>, required)]
     pub reserved_for: Option<Arc<str>>,
     /// Number of the newest lease.

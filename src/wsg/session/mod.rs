@@ -12,15 +12,15 @@
 //! - At most one request per id is in flight.
 //! - FAST STOP is written before Stop, and Stop before all others. Frames are handed out one by one, so a stop waits at
 //!   most for the frame being written.
-//! - No motion or script is written while an earlier Stop waits to be written, because the Stop would stop it. For the same
-//!   reason, no acknowledgement is written while a FAST STOP waits.
-//! - Every request ends exactly once: with a reply or at its deadline.
+//! - No motion or script is written while an earlier Stop waits to be written, because the Stop would stop it. For the
+//!   same reason, no acknowledgement is written while a FAST STOP waits.
+//! - Every request ends exactly once, with a reply or at its deadline, unless it is withdrawn before it was written.
 //! - After a timeout, an id stays closed until the echo of a later Loop (see `barrier`). A two-step id stays closed
 //!   until its late result arrives, or the device reports not MOVING after that echo. A script's id stays closed until
 //!   its late reply arrives, or for [`SCRIPT_REPLIES_WITHIN`]. FAST STOP and Stop never wait for this.
 //! - On a link that can duplicate frames, an answered id also stays closed until the echo of a later Loop, and for at
-//!   least [`DUPLICATE_WITHIN`]. Once an id has received a reply without a request, each of its answered requests closes it
-//!   until that echo.
+//!   least [`DUPLICATE_WITHIN`]. On every link, the same wait for an echo follows each answered request of an id that
+//!   has once received a reply without a request. Stop, FAST STOP and ids with automatic updates never wait for this.
 //!
 //! Architecture invariant: a request is written at most once. The session repeats only its own Loop.
 
@@ -40,8 +40,8 @@ pub use lanes::MAX_WAITING;
 use lanes::{Lanes, Waiting};
 use slots::{Closed, InFlight, SlotState, Slots};
 
-/// Limit of one request's line time while the fingers may move, because a FAST STOP has to wait for it. It does not apply
-/// to requests as short as a motion.
+/// Longest line time of a request while the fingers may move, because a FAST STOP has to wait for that request.
+/// Requests no longer than a motion are exempt.
 pub const MAX_LINE_TIME_WHILE_MOVING: Duration = Duration::from_millis(100);
 
 /// Time limit for the result of a stopped motion. The manual does not promise one (`fw4-en 3.2.3`).
@@ -54,13 +54,14 @@ pub const RESULT_GRACE: Duration = Duration::from_secs(1);
 /// Scripts run beside the device's own commands, so the echo of a later Loop does not mean that no reply can follow.
 pub const SCRIPT_REPLIES_WITHIN: Duration = Duration::from_secs(10);
 
-/// Time for which a reply is awaited that the echo of a later Loop has overtaken, on a link that can duplicate frames.
+/// Shortest time for which an id stays closed after its reply on a link that can duplicate frames, because a late or
+/// duplicate reply can arrive after the echo of a later Loop.
 pub const DUPLICATE_WITHIN: Duration = Duration::from_millis(5);
 
 /// Silence after which a Loop probes whether the device is still there.
 pub const PROBE_AFTER: Duration = Duration::from_millis(500);
 
-/// Size of a frame with two numbers, as a motion has. On the slowest line, even such a frame takes more than
+/// Size in bytes of the longest motion frame: flags and two floats. At 1200 baud, even this frame takes more than
 /// [`MAX_LINE_TIME_WHILE_MOVING`].
 const SHORT_FRAME_BYTES: usize = frame::OVERHEAD_BYTES + 9;
 
@@ -245,7 +246,7 @@ impl Session {
         }
         let token = Token(self.next_token);
         let deadline = now + request.reply_within + line_time;
-        // A Stop does not end unwritten because of the Stop before it.
+        // A Stop is written only after the Stop in flight has ended, so its own deadline comes after that one's.
         let before = self.slots.in_flight().find(|(id, _)| *id == id::STOP && request.command == Command::Stop);
         let deadline = before.map_or(deadline, |(_, before)| deadline.max(before.deadline + request.reply_within));
         self.lanes.push(Waiting { token, request, deadline }).map_err(|_| NotTaken::Full)?;
