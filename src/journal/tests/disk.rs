@@ -145,7 +145,7 @@ async fn large_write_ahead_log_is_emptied_after_its_reader_has_gone() {
         for number in 0..500 {
             record(&journal, done(number, "left", 1, None, Outcome::PartHeld));
         }
-        assert!(kept(&journal, started(2)).await);
+        keep(&journal, started(2)).await;
     }
     drop(reader);
     let emptied = async {

@@ -172,6 +172,13 @@ pub(super) async fn kept(journal: &Journal, event: Event) -> bool {
     durable.await.is_ok()
 }
 
+/// Records an event and waits until it is durable. While the disk is too slow for the records before, a waiter would be
+/// dropped at once.
+pub(super) async fn keep(journal: &Journal, event: Event) {
+    journal.health().wait_for(|health| health.failure.is_none()).await.unwrap();
+    assert!(kept(journal, event).await, "{:?}", journal.health().borrow().failure);
+}
+
 /// Reads all events, oldest first.
 pub(super) async fn all(journal: &Journal) -> Vec<serde_json::Value> {
     let query = EventQuery { order: Order::Oldest, limit: Limit::new(1000).unwrap(), ..EventQuery::default() };
