@@ -232,6 +232,9 @@ pub enum Failure {
     /// The device never received the request.
     #[error("{command} was not sent, because an earlier request still had no reply: try again later")]
     NotSent { command: &'static str },
+    /// The device never received the request.
+    #[error("{command} was not sent, because a Stop came first: send it again if it is still wanted")]
+    StoppedFirst { command: &'static str },
     #[error("unexpected reply from the device to {command}: {detail}")]
     DeviceProtocol { command: &'static str, detail: String },
     #[error("{limit} requests are already waiting for this gripper: try again later")]
@@ -261,7 +264,9 @@ impl Failure {
     const fn code(&self) -> Code {
         match self {
             Self::LinkDown { .. } | Self::Draining => Code::LinkDown,
-            Self::DeviceTimeout { .. } | Self::NoValueYet { .. } | Self::NotSent { .. } => Code::DeviceTimeout,
+            Self::DeviceTimeout { .. } | Self::NoValueYet { .. } | Self::NotSent { .. } | Self::StoppedFirst { .. } => {
+                Code::DeviceTimeout
+            }
             Self::DeviceProtocol { .. } => Code::DeviceProtocol,
             Self::JournalDown { .. } => Code::JournalDown,
             Self::Overloaded { .. } | Self::RequestIds { .. } | Self::FlashWear { .. } => Code::Overloaded,

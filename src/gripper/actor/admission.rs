@@ -9,7 +9,7 @@ use super::super::model::{
     Action, Client, CommandId, CommandReport, FastStopId, LeaseToken, Motion, SettingChange, Submission,
 };
 use super::Actor;
-use super::link::{Exchange, Purpose};
+use super::link::{Exchange, OwnStop, Purpose};
 use super::reads::is_slow_getter;
 use super::running::Running;
 use crate::wsg::session::{End, Token};
@@ -21,11 +21,12 @@ impl Actor {
         let clamped = submission.client.door.speaks_wsg().then(|| self.clamped(submission));
         let submission = clamped.as_ref().unwrap_or(submission);
         let keep = self.lease.keep(now.instant, submission.lease.as_ref()).map(Arc::new);
-        if let Some(ticket) = self.commands.replay(now.instant, submission)? {
-            return Ok(Ticket { _keep: keep, ..ticket });
-        }
+        let replay = self.commands.replay(now.instant, submission);
         match &submission.action {
             Action::Motion(motion) => {
+                if let Some(ticket) = replay? {
+                    return Ok(Ticket { _keep: keep, ..ticket });
+                }
                 if !self.is_streamed(motion) {
                     self.commands.check_room(now.instant, submission)?;
                 }
@@ -46,24 +47,44 @@ impl Actor {
                 }
                 Ok(Ticket { _keep: keep, ..ticket })
             }
-            Action::Stop => {
-                if let Some(ticket) = self.repeated_stop(now, submission) {
-                    self.link.stop_again(now);
-                    return Ok(Ticket { _keep: keep, ..ticket });
-                }
-                let is_moving = self.is_moving(now.instant);
-                // An unresponsive device may still receive a Stop, so any link will do.
-                if let Err(not_taken) = self.link.submit(now, Command::Stop, Purpose::Stop(id)) {
-                    let ticket = self.join_stop(now, not_taken.0)?;
-                    return Ok(Ticket { _keep: keep, ..ticket });
-                }
-                self.withdraw_waiting_motion(now);
-                if !is_moving {
-                    self.note_stop(now, &submission.client, id);
-                }
-                Ok(Ticket { _keep: keep, ..self.enter(now, id, submission) })
-            }
+            Action::Stop => Ok(Ticket { _keep: keep, ..self.admit_stop(now, id, submission, replay)? }),
         }
+    }
+
+    /// Admits a Stop. While the fingers move, it is sent even if its request id stands for another request, or for a
+    /// Stop that has ended.
+    fn admit_stop(
+        &mut self,
+        now: Now,
+        id: CommandId,
+        submission: &Submission,
+        replay: Result<Option<Ticket>, Conflict>,
+    ) -> Result<Ticket, Rejection> {
+        // An unwritten script would move the fingers after the Stop.
+        self.withdraw_scripts(&Failure::StoppedFirst { command: "the custom command" }.into(), |_| true);
+        let is_moving = self.is_moving(now.instant);
+        let without_id;
+        let submission = match replay {
+            Ok(None) => submission,
+            Ok(Some(ticket)) if !is_moving || ticket.now().outcome.is_none() => return Ok(ticket),
+            Ok(Some(_)) | Err(_) => {
+                without_id = Submission { request_id: None, ..submission.clone() };
+                &without_id
+            }
+        };
+        if let Some(ticket) = self.repeated_stop(now, submission) {
+            self.link.send_stop(now, OwnStop::new(None));
+            return Ok(ticket);
+        }
+        // An unresponsive device may still receive a Stop, so any link will do.
+        if let Err(not_taken) = self.link.submit(now, Command::Stop, Purpose::Stop(id)) {
+            return self.join_stop(now, not_taken.0);
+        }
+        self.withdraw_waiting_motion(now);
+        if !is_moving {
+            self.note_stop(now, &submission.client, id);
+        }
+        Ok(self.enter(now, id, submission))
     }
 
     /// Checks a motion: first its values, then the state of lease, link and gripper.

@@ -401,14 +401,6 @@ impl DeviceLink {
         }
     }
 
-    /// Sends another Stop for a client that repeats its Stop, unless a Stop is pending. As far as the gateway knows,
-    /// the fingers stand still.
-    pub(super) fn stop_again(&mut self, now: Now) {
-        if !self.purposes.values().any(|purpose| matches!(purpose, Purpose::Stop(_) | Purpose::OwnStop(_))) {
-            self.send_stop(now, OwnStop::new(None));
-        }
-    }
-
     /// The newest pending Stop of a client.
     pub(super) fn newest_stop(&self) -> Option<CommandId> {
         self.purposes.values().rev().find_map(|purpose| match purpose {

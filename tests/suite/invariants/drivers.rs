@@ -317,6 +317,21 @@ fn waiting_script_ends_with_its_client_and_with_a_new_lease() {
 }
 
 #[test]
+fn stop_withdraws_the_scripts_before_it() {
+    let mut world = homed_with_script();
+    let (one, other) = (driver("10.0.0.1"), driver("10.0.0.2"));
+    let from = mark(&world);
+    // While the first script's reply is awaited, the second one is not written.
+    let _answered = send_script(&mut world, &one);
+    let mut waiting = send_script(&mut world, &other);
+    submit(&mut world, Action::Stop, None).unwrap();
+    world.advance(Duration::from_secs(1));
+    assert_eq!(received(&world, from), [SCRIPT_ID, id::STOP]);
+    let rejected = waiting.try_recv().unwrap().unwrap_err();
+    assert!(matches!(rejected, Rejection::Failure(Failure::StoppedFirst { .. })), "{rejected:?}");
+}
+
+#[test]
 fn motion_of_a_script_after_07h_is_stopped() {
     let mut world = homed_with_script();
     let one = driver("10.0.0.1");

@@ -81,12 +81,31 @@ fn stop_of_a_running_motion_is_a_new_command() {
     }
     assert!(submit(&mut world, Action::Stop, Some("another")).is_ok());
     world.advance(Duration::from_millis(100));
-    assert_eq!(received(&world, from), [id::STOP, id::STOP]);
+    // One was written at once, and one waited for its reply. A repeat can follow a script that moves the fingers.
+    assert_eq!(received(&world, from), [id::STOP; 3]);
     let running = start(&mut world, move_to(5.0, 10.0));
     world.advance(Duration::from_millis(200));
     let stopped = submit(&mut world, Action::Stop, None).unwrap();
     assert_ne!(stopped.id(), first.id());
     assert_eq!(finish(&mut world, &running).outcome, Some(Outcome::Aborted));
+}
+
+#[test]
+fn stop_is_sent_whatever_its_request_id_stands_for() {
+    let mut world = homed();
+    let first = submit(&mut world, Action::Stop, Some("a")).unwrap();
+    world.advance(Duration::from_millis(100));
+    let again = submit(&mut world, Action::Stop, Some("a")).unwrap();
+    assert_eq!((again.id(), again.now().replayed), (first.id(), true));
+    for (motion_id, stop_id) in [("b", "a"), ("c", "c")] {
+        let from = mark(&world);
+        let running = submit(&mut world, Action::Motion(move_to(5.0, 10.0)), Some(motion_id)).unwrap();
+        world.advance(Duration::from_millis(300));
+        let stop = submit(&mut world, Action::Stop, Some(stop_id)).unwrap();
+        assert!(!stop.now().replayed && stop.id() != first.id(), "{stop_id}");
+        assert_eq!(finish(&mut world, &running).outcome, Some(Outcome::Aborted));
+        assert_eq!(received(&world, from), [id::PRE_POSITION, id::STOP], "{stop_id}");
+    }
 }
 
 #[test]
