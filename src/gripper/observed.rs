@@ -130,11 +130,6 @@ impl Observed {
         }
     }
 
-    /// Whether the flags were heard since `then`.
-    pub(super) fn has_newer_flags(&self, then: Instant) -> bool {
-        self.heard[0].is_some_and(|heard| heard > then)
-    }
-
     /// Whether every value was heard since `then`.
     pub(super) fn is_newer_than(&self, then: Instant) -> bool {
         self.heard.iter().all(|heard| heard.is_some_and(|heard| heard > then))

@@ -182,8 +182,12 @@ impl Actor {
                 self.latch(now, request);
             }
             LossEffect::Stop => self.stop_motion(now),
-            // The motion can end with a held part.
-            LossEffect::Finish | LossEffect::Keep => self.lease.reserve(held.holder.clone()),
+            LossEffect::Finish | LossEffect::Keep => {
+                // A motion that was not sent yet does not begin without its holder.
+                self.withdraw_waiting_motion(now);
+                // A motion under way can end with a held part.
+                self.lease.reserve(held.holder.clone());
+            }
             LossEffect::None => {}
         }
         self.streaming.stopped();
@@ -192,8 +196,7 @@ impl Actor {
     /// Whether the fingers are known to move or to be about to, a stream was active at `at`, or a motion whose result
     /// is unknown may still be running.
     pub(super) fn is_moving(&self, at: Instant) -> bool {
-        let moves_unseen = self.motion.moves_unseen(at);
-        self.motion.is_under_way() || self.observed.has(SystemState::MOVING) || self.is_streaming(at) || moves_unseen
+        self.motion.mover(at).is_some() || self.observed.has(SystemState::MOVING) || self.is_streaming(at)
     }
 
     /// Withdraws a waiting motion, and sends a Stop if the fingers move.
@@ -203,7 +206,7 @@ impl Actor {
         }
         self.withdraw_waiting_motion(now);
         if self.is_moving(now.instant) {
-            self.link.send_stop(now, OwnStop::new(self.motion.id()));
+            self.link.send_stop(now, OwnStop::new(self.motion.mover(now.instant)));
         }
         self.streaming.stopped();
     }

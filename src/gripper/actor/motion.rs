@@ -107,6 +107,9 @@ impl Actor {
             }
         };
         running.stage = Stage::Settling(Settling { outcome, status, since: now.instant });
+        if outcome == Outcome::Unknown {
+            self.motion.lose_sight(now.instant, self.settings.stroke_mm());
+        }
     }
 
     pub(super) fn end_settled_motion(&mut self, now: Now) {
@@ -117,18 +120,14 @@ impl Actor {
 
     /// Ends the motion with its result so far: settled, or cut off by the loss of the link.
     pub(super) fn end_running(&mut self, now: Now, unwritten: bool) {
+        if !unwritten && self.motion.is_under_way() && self.motion.is_sent() {
+            self.motion.lose_sight(now.instant, self.settings.stroke_mm());
+        }
         let Some(mut running) = self.motion.finish(now.instant, self.settings.stroke_mm()) else { return };
         let (outcome, status) = match running.stage {
-            Stage::Settling(Settling { outcome, status, since }) => {
-                // Without newer flags, the fingers may be moving.
-                if outcome == Outcome::Unknown && !self.observed.has_newer_flags(since) {
-                    self.motion.lose_sight();
-                }
-                (outcome, status)
-            }
+            Stage::Settling(Settling { outcome, status, .. }) => (outcome, status),
             // The motion may have happened.
             Stage::Sent(_) if !unwritten => {
-                self.motion.lose_sight();
                 running.unknown_because = Some(self.link.failure());
                 (Outcome::Unknown, None)
             }
@@ -207,11 +206,11 @@ impl Actor {
         }
     }
 
-    /// Repeats a Stop of the gateway's own that has failed, while the motion that it should stop is under way.
+    /// Repeats a Stop of the gateway's own that has failed, while the motion that it should stop may move the fingers.
     pub(super) fn own_stop_ended(&mut self, now: Now, stop: OwnStop, end: &End) {
         let has_stopped = matches!(end, End::Reply(Reply::Success(_))) || self.latch.id().is_some();
         // Without a motion of its own, the Stop could stop somebody else's script.
-        let is_wanted = stop.motion.is_some() && self.motion.id() == stop.motion && self.motion.is_under_way();
+        let is_wanted = stop.motion.is_some() && self.motion.mover(now.instant) == stop.motion;
         if has_stopped || !is_wanted {
             return;
         }

@@ -139,13 +139,13 @@ pub(super) struct MotionState {
     pub last_end: Option<Instant>,
     /// Time until which the fingers can move because of a motion that has ended.
     may_move_until: Option<Instant>,
-    /// The same time, if the motion's result is unknown and no flags have arrived since.
-    unseen_until: Option<Instant>,
+    /// The last motion and the same time, if its result is unknown and no flags have arrived since.
+    unseen: Option<(CommandId, Instant)>,
 }
 
 impl MotionState {
     pub(super) fn new(pause: Duration) -> Self {
-        Self { pause, running: None, last_end: None, may_move_until: None, unseen_until: None }
+        Self { pause, running: None, last_end: None, may_move_until: None, unseen: None }
     }
 
     pub(super) fn set_pause(&mut self, pause: Duration) {
@@ -242,18 +242,19 @@ impl MotionState {
     }
 
     /// Notes that the motion's result is unknown, so that the fingers count as moving until flags arrive.
-    pub(super) fn lose_sight(&mut self) {
-        self.unseen_until = self.may_move_until;
+    pub(super) fn lose_sight(&mut self, now: Instant, stroke_mm: Option<f32>) {
+        self.unseen = self.running.as_ref().map(|running| (running.id, now + running.moves_on_for(stroke_mm)));
     }
 
     /// Notes that flags have arrived.
     pub(super) fn see(&mut self) {
-        self.unseen_until = None;
+        self.unseen = None;
     }
 
-    /// Whether the fingers may still be moving because of a motion whose result is unknown.
-    pub(super) fn moves_unseen(&self, at: Instant) -> bool {
-        self.unseen_until.is_some_and(|until| at < until)
+    /// The motion that moves the fingers as far as known: it is under way or about to start, or its result is unknown.
+    pub(super) fn mover(&self, at: Instant) -> Option<CommandId> {
+        let unseen = self.unseen.filter(|(_, until)| at < *until).map(|(id, _)| id);
+        self.running.as_ref().filter(|running| !running.has_ended()).map(|running| running.id).or(unseen)
     }
 
     /// Whether the fingers can be moving because of a command of this gateway.

@@ -105,7 +105,7 @@ fn own_stop_is_not_repeated_for_the_next_motion() {
 #[test]
 fn motion_without_any_sign_counts_as_moving_until_the_next_flags() {
     let mut rig = Rig::connected(config(TCP));
-    rig.device.held.insert(id::LOOP);
+    rig.device.held.extend([id::LOOP, id::GET_SYSTEM_STATE]);
     let (_, ticket) = release(&mut rig);
     for _ in 0..15 {
         rig.pass(100);

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use wsg_gateway::gripper::model::{FastStopCause, LossCause, OnLossMoving, Outcome, TakeLease};
-use wsg_gateway::sim::Interface;
+use wsg_gateway::sim::{FaultKind, Interface};
 use wsg_gateway::wsg::id;
 
 use super::super::steps::*;
@@ -27,6 +27,15 @@ fn holder_lost_during_a_motion_is_a_fast_stop_within_the_ttl() {
     assert_eq!((latch.fast_stop_cause, &*latch.fast_stop_by), (FastStopCause::ClientLost, "http:a"));
     assert_eq!(latch.fast_stop_reason.as_str(), "lease holder a lost");
     assert!(latch.fast_stop_confirmed && !lease(&mut world).held);
+}
+
+/// Loses the holder with this token.
+fn lose(world: &mut World, token: LeaseToken) {
+    drop(request(world, |_: oneshot::Sender<()>| ActorRequest::LoseLease {
+        token,
+        times_taken: None,
+        cause: LossCause::Disconnected,
+    }));
 }
 
 /// Loses the link right after a motion has begun, and then its holder. A serial line has no connection whose end would
@@ -83,12 +92,7 @@ fn holder_lost_during_an_unknown_motion_is_a_fast_stop() {
     world.advance(Duration::from_secs(1));
     assert_eq!((state(&world).moving, state(&world).command), (Some(true), None));
     let from = mark(&world);
-    let lost = a.unwrap();
-    drop(request(&mut world, |_: oneshot::Sender<()>| ActorRequest::LoseLease {
-        token: lost,
-        times_taken: None,
-        cause: LossCause::Disconnected,
-    }));
+    lose(&mut world, a.unwrap());
     world.advance(Duration::from_millis(200));
     assert_eq!(received(&world, from), [id::FAST_STOP]);
     assert!(!world.device.snapshot().moving);
@@ -96,22 +100,60 @@ fn holder_lost_during_an_unknown_motion_is_a_fast_stop() {
 
 #[test]
 fn loss_of_the_holder_aborts_a_waiting_motion() {
-    let mut world = homed();
-    let a = token(&mut world, TakeLease { on_loss_moving: Some(OnLossMoving::Stop), ..wish("a") });
-    // A motion waits in the pause after the one before.
-    let first = submit_with(&mut world, move_to(80.0, 200.0), a.clone()).unwrap();
-    finish(&mut world, &first);
-    let from = mark(&world);
-    let waiting = submit_with(&mut world, move_to(5.0, 10.0), a.clone()).unwrap();
-    let lost = a.unwrap();
-    drop(request(&mut world, |_: oneshot::Sender<()>| ActorRequest::LoseLease {
-        token: lost,
-        times_taken: None,
-        cause: LossCause::Disconnected,
-    }));
-    assert_eq!(finish(&mut world, &waiting).outcome, Some(Outcome::Aborted));
-    world.advance(Duration::from_secs(1));
-    assert!(!received(&world, from).contains(&id::PRE_POSITION));
+    for choice in [OnLossMoving::Stop, OnLossMoving::Finish] {
+        let mut world = homed();
+        let a = token(&mut world, TakeLease { on_loss_moving: Some(choice), ..wish("a") });
+        // A motion waits in the pause after the one before.
+        let first = submit_with(&mut world, move_to(80.0, 200.0), a.clone()).unwrap();
+        finish(&mut world, &first);
+        let from = mark(&world);
+        let waiting = submit_with(&mut world, move_to(5.0, 10.0), a.clone()).unwrap();
+        lose(&mut world, a.unwrap());
+        assert_eq!(finish(&mut world, &waiting).outcome, Some(Outcome::Aborted), "{choice:?}");
+        world.advance(Duration::from_secs(1));
+        assert!(!received(&world, from).contains(&id::PRE_POSITION), "{choice:?}");
+    }
+}
+
+/// A serial device that moves its fingers, but sends nothing any more, and the holder's token.
+fn silent_motion(on_loss_moving: OnLossMoving) -> (World, LeaseToken, Ticket) {
+    let mut world = World::calm_on(Interface::Serial, device(), Some(11_520));
+    run(&mut world, home());
+    let terms = TakeLease { on_loss_moving: Some(on_loss_moving), ttl: Some(Duration::from_mins(1)), ..wish("a") };
+    let a = token(&mut world, terms).unwrap();
+    world.device.apply(world.now, Change::Silent { on: true });
+    let running = submit_with(&mut world, move_to(5.0, 5.0), Some(a.clone())).unwrap();
+    (world, a, running)
+}
+
+#[test]
+fn holder_lost_around_the_end_of_an_unanswered_motion_is_a_fast_stop() {
+    // The motion ends as UNKNOWN a second after its request, and then values at rest are awaited.
+    for delay_ms in (900..1200).step_by(10) {
+        let (mut world, a, running) = silent_motion(OnLossMoving::FastStop);
+        world.advance(Duration::from_millis(delay_ms));
+        assert!(world.device.snapshot().moving);
+        lose(&mut world, a);
+        assert!(state(&world).latch.is_some(), "{delay_ms} ms: {:?}", running.now().outcome);
+        assert_eq!(latch(&world).fast_stop_cause, FastStopCause::ClientLost);
+    }
+}
+
+#[test]
+fn lost_stop_of_an_unanswered_motion_is_repeated() {
+    for delay_ms in [500, 1100] {
+        let (mut world, a, running) = silent_motion(OnLossMoving::Stop);
+        world.device.apply(world.now, Change::Fault { kind: FaultKind::NoReply, id: Some(id::STOP), times: 1 });
+        world.advance(Duration::from_millis(delay_ms));
+        let from = mark(&world);
+        lose(&mut world, a);
+        world.advance(Duration::from_millis(500));
+        assert!(world.device.snapshot().moving, "the first Stop was lost");
+        world.advance(Duration::from_millis(1500));
+        assert!(!world.device.snapshot().moving, "{delay_ms} ms");
+        assert_eq!(running.now().outcome, Some(Outcome::Unknown));
+        assert!(received(&world, from).starts_with(&[id::STOP, id::STOP]), "{delay_ms} ms");
+    }
 }
 
 #[test]
@@ -126,12 +168,7 @@ fn holder_chooses_the_fate_of_its_motion() {
         let running = submit_with(&mut world, move_to(80.0, 20.0), a.clone()).unwrap();
         world.advance(Duration::from_millis(300));
         let from = mark(&world);
-        let lost = a.unwrap();
-        drop(request(&mut world, |_: oneshot::Sender<()>| ActorRequest::LoseLease {
-            token: lost,
-            times_taken: None,
-            cause: LossCause::Disconnected,
-        }));
+        lose(&mut world, a.unwrap());
         assert_eq!(finish(&mut world, &running).outcome, Some(outcome), "{choice:?}");
         world.advance(Duration::from_secs(1));
         assert_eq!(received(&world, from), sent, "{choice:?}");
