@@ -93,6 +93,9 @@ impl Lanes {
 }
 
 fn pop_open(lane: &mut VecDeque<Waiting>, is_open: impl Fn(&Waiting) -> bool) -> Option<Waiting> {
-    let index = lane.iter().position(is_open)?;
+    let id = |waiting: &Waiting| waiting.request.command.id();
+    // A request that is held back for its line time also holds back later ones of its id.
+    let is_oldest = |index, waiting| lane.iter().take(index).all(|before| id(before) != id(waiting));
+    let index = lane.iter().enumerate().position(|(index, waiting)| is_open(waiting) && is_oldest(index, waiting))?;
     lane.remove(index)
 }

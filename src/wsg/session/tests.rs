@@ -354,6 +354,21 @@ fn short_request_is_never_too_long() {
 }
 
 #[test]
+fn held_request_holds_back_later_ones_of_its_id() {
+    let mut rig = Rig::on_a_line(Some(1000));
+    rig.submit(grip());
+    for bytes in [200, 1] {
+        rig.submit(Command::Custom(CustomCommand::new(0xB0, vec![1; bytes]).unwrap()));
+    }
+    assert_eq!(rig.written(), [id::GRIP]);
+    rig.status(id::GRIP, Status::E_CMD_PENDING);
+    rig.status(id::GRIP, Status::E_SUCCESS);
+    assert_eq!(rig.written(), [0xB0]);
+    rig.status(0xB0, Status::E_SUCCESS);
+    assert_eq!(rig.written(), [0xB0]);
+}
+
+#[test]
 fn lanes_are_bounded() {
     let mut rig = Rig::new();
     for _ in 0..MAX_WAITING {
