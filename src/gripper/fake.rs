@@ -144,7 +144,9 @@ impl Actor {
                 }
                 let _ = answer.send(self.ticket(id));
             }
-            ActorRequest::Exchange { command, answer: (_, answer), .. } => {
+            ActorRequest::Exchange { command, lease, answer: (_, answer), .. } => {
+                // Each use renews the lease, if it is the current one.
+                let _ = self.lease.renew(clock::instant(), lease.as_ref());
                 let _ = answer.send((self.script.exchange)(&command));
                 self.see(Seen::Exchange(command));
             }

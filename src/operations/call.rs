@@ -235,9 +235,9 @@ impl Gripper {
         Ok(Self { lease: Ok(lease), used, ..self })
     }
 
-    /// Returns the lease token, if there is a valid one.
+    /// Returns the lease token, if there is a valid one and its holder may still move the gripper.
     pub fn token(&self) -> Option<LeaseToken> {
-        self.lease.as_ref().ok().cloned().flatten()
+        self.lease.as_ref().ok().cloned().flatten().filter(|_| self.keeps_lease)
     }
 
     /// Sends the device one request that moves nothing.
@@ -289,16 +289,20 @@ mod tests {
 
     #[tokio::test(start_paused = true)]
     async fn lease_is_not_kept_without_the_right_to_move() {
-        let gateway = Gateway::of([fake::gripper("left", FakeScript::default()).0]);
+        let limit = |_: &wsg::Command| Ok(wsg::Data::ForceLimit(wsg::Force::new(40.0).unwrap()));
+        let script = FakeScript { exchange: limit, ..FakeScript::default() };
+        let gateway = Gateway::of([fake::gripper("left", script).0]);
         let caller = Caller::new(Client::new("test", Door::Http), Ok(Identity::anyone()));
         let ask = async |caller: &Caller, name: &str| -> Value {
             let reply = call(&gateway, caller.clone(), name, json!({"gripper": "left"})).await.unwrap();
             serde_json::from_str(reply.body.get()).unwrap()
         };
         let token = ask(&caller, "lease.take").await["token"].as_str().map(LeaseToken::from);
-        for (role, method, left_ms) in
-            [(Role::Operator, "state", 3000), (Role::Observer, "state", 2000), (Role::Stop, "stop", 1000)]
-        {
+        for (role, method, left_ms) in [
+            (Role::Operator, "settings.force-limit", 3000),
+            (Role::Observer, "settings.force-limit", 2000),
+            (Role::Stop, "stop", 1000),
+        ] {
             let identity = Identity { role, ..Identity::anyone() };
             let holder = Caller { lease: Ok(token.clone()), identity: Ok(identity), ..caller.clone() };
             ask(&holder, method).await;
