@@ -306,28 +306,36 @@ impl Subscription {
     /// gap in their place, and grip records. Frames are left out: the successor's begin at once.
     pub fn rest(&mut self, successor: &Self) -> Vec<Notification> {
         let mut rest = Vec::new();
-        let (Some(position), Some(first)) = (self.event_position.clone(), &successor.event_position) else {
-            return rest;
-        };
-        let sent = position.get();
-        if sent > first.get() && self.only == successor.only {
+        let events = self.event_position.clone().zip(successor.event_position.as_ref());
+        if let Some((position, first)) = &events
+            && self.covers(successor)
+        {
             // Events that were sent since the successor was made are not sent again.
-            first.set(sent);
+            first.set(position.get().max(first.get()));
         }
-        let begin = first.get();
+        let is_due_event = |position: &EventPosition, first: &EventPosition| position.get() <= first.get();
         while let Some(Some(update)) = unconstrained(self.queued.next()).now_or_never() {
             let is_due = match update.method() {
-                "event" => position.get() <= begin,
-                method => matches!(method, "gap" | "grip"),
+                "event" => events.as_ref().is_some_and(|(position, first)| is_due_event(position, first)),
+                "grip" => successor.topics.contains(&Topic::Grips),
+                method => method == "gap",
             };
             rest.extend(is_due.then_some(update));
         }
-        let seq = position.get();
-        let missed = (begin - seq).try_into().unwrap_or_default();
-        if missed > 0 {
-            rest.extend(Notification::new("gap", &Gap::of_events(seq, missed)));
+        if let Some((position, first)) = events {
+            let seq = position.get();
+            let missed = (first.get() - seq).try_into().unwrap_or_default();
+            if missed > 0 {
+                rest.extend(Notification::new("gap", &Gap::of_events(seq, missed)));
+            }
         }
         rest
+    }
+
+    /// Whether all grippers of another subscription belong to this one.
+    fn covers(&self, other: &Self) -> bool {
+        let is_subset = |only: &BTreeSet<Name>| other.only.as_ref().is_some_and(|others| others.is_subset(only));
+        self.only.as_ref().is_none_or(is_subset)
     }
 
     /// Returns the next event, frame or gap. Cancel-safe.

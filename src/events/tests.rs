@@ -6,6 +6,7 @@ use super::*;
 use crate::gripper::fake::{self, FakeScript};
 use crate::gripper::model::{Client, Detail, Door, Event, FastStopId, Reason, RefusedEvent};
 use crate::gripper::recorder::{Record, Recorder as _};
+use crate::journal::tests::grip;
 use crate::journal::{JournalLocation, Retention};
 
 fn updates() -> (Arc<LiveUpdates>, Journal) {
@@ -97,15 +98,39 @@ async fn new_subscription_loses_no_event() {
     assert_eq!(seqs(&replaced.rest(&successor)), []);
     assert_eq!(seqs(&[successor.next().await, successor.next().await]), [("event", 307), ("event", 308)]);
 
+    // A new subscription to fewer grippers sends none again.
+    let mut replaced = updates.subscribe(None, [Topic::Events]);
+    let mut successor = updates.subscribe(Some(&only), [Topic::Events]);
+    for (recorded, gripper) in [(309, "left"), (310, "left")] {
+        record(&journal, Some(gripper));
+        until(&journal, first + recorded).await;
+    }
+    assert_eq!(seqs(&[replaced.next().await]), [("event", 309)]);
+    assert_eq!(seqs(&replaced.rest(&successor)), []);
+    assert_eq!(seqs(&[successor.next().await]), [("event", 310)]);
+
     // Without its receiver, the events can no longer be sent.
     let mut replaced = updates.subscribe(None, [Topic::Events]);
-    for recorded in 309..=311 {
+    for recorded in 311..=313 {
         record(&journal, None);
         until(&journal, first + recorded).await;
     }
     replaced.queued.clear();
     let gaps = replaced.rest(&updates.subscribe(None, [Topic::Events]));
-    assert_eq!((seqs(&gaps), &body(&gaps[0])["missed"]), (vec![("gap", 308)], &3.into()));
+    assert_eq!((seqs(&gaps), &body(&gaps[0])["missed"]), (vec![("gap", 310)], &3.into()));
+}
+
+#[tokio::test]
+async fn new_subscription_loses_no_grip_record() {
+    let (updates, journal) = updates();
+    let [mut replaced, mut other] = [(); 2].map(|()| updates.subscribe(None, [Topic::Grips]));
+    for number in 1..=2 {
+        journal.record(Record::Grip(Box::new(grip(1000, "left", number, None))));
+        assert_eq!(other.next().await.method(), "grip");
+    }
+    assert_eq!(other.rest(&updates.subscribe(None, [Topic::Events])).len(), 0);
+    let rest = replaced.rest(&updates.subscribe(None, [Topic::Grips]));
+    assert_eq!(rest.iter().map(Notification::method).collect::<Vec<_>>(), ["grip", "grip"]);
 }
 
 #[tokio::test]

@@ -28,7 +28,7 @@ mod source;
 mod statistics;
 mod store;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 mod verify;
 mod writer;
 

@@ -120,7 +120,7 @@ pub(super) fn started(time: i64) -> Event {
     Event::new(at(time), None, Detail::Gateway(event))
 }
 
-pub(super) fn grip(time: i64, gripper: &str, number: u32, part_id: Option<&str>) -> GripRecord {
+pub(crate) fn grip(time: i64, gripper: &str, number: u32, part_id: Option<&str>) -> GripRecord {
     let sample =
         |i: u32| Sample { t_ms: i * 10, width_mm: 60.0 - i as f32 * 0.4, speed_mm_s: -40.0, force_n: 0.25 * i as f32 };
     let curve: Vec<_> = (0..20).map(sample).collect();
