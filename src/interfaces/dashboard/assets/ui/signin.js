@@ -31,6 +31,9 @@ export function SignIn() {
   </form></main>`;
 }
 
+/** Longest wait for the gateway to take back control. */
+const RELEASED_WITHIN_MS = 1000;
+
 /** Whether the field for a PIN is open, and the problem of the last PIN. */
 const isEntering = signal(false);
 const refusedPin = signal(null);
@@ -58,11 +61,12 @@ function PinField() {
   </form>`;
 }
 
-/** Gives up control of all grippers, and then the rights of the PIN. */
+/** Gives up control of all grippers, and then the rights of the PIN, even if the gateway does not respond. */
 async function lock() {
   const mine = grippers.peek().filter((one) => one.isMine.peek());
   // One after the other: the gateway limits the requests in progress.
-  await mine.reduce((released, one) => released.then(() => releaseControl(one)), Promise.resolve());
+  const released = mine.reduce((before, one) => before.then(() => releaseControl(one)), Promise.resolve());
+  await Promise.race([released, new Promise((resolve) => setTimeout(resolve, RELEASED_WITHIN_MS))]);
   await forgetPin();
 }
 
