@@ -1,6 +1,6 @@
 //! A gateway that lets many clients share Weiss/SCHUNK WSG grippers safely.
 //!
-//! # The map
+//! # Modules
 //!
 //! - [`wsg`]: the protocol without I/O (sans-IO): frames, commands, replies, and the [session](wsg::session) on a link.
 //! - [`transport`]: byte pipes to devices; knows nothing of the protocol.

@@ -124,7 +124,7 @@ impl Guard {
         Ok((hash, Self::by_hash(&tokens, hash, proof)?))
     }
 
-    /// Identifies a client by the token of its session, and by the PIN that was entered there.
+    /// Identifies a client by its session: as the person whose PIN was entered there, or else by the session's token.
     fn by_session(&self, behind: Option<Behind>) -> Result<Identity, Unauthorized> {
         let (Behind { token, pin }, tokens) = behind.zip(self.tokens()).ok_or(Unauthorized::SessionEnded)?;
         let identity = Self::by_hash(&tokens, token, Proof::Session).map_err(|_| Unauthorized::SessionEnded)?;
@@ -261,7 +261,7 @@ impl Access {
         self.sessions.end(id);
     }
 
-    /// Adds the rights of a PIN to a session, until they are idle.
+    /// Gives a session the identity of a PIN in place of its own, until it is unused for [`SessionTimes::pin_idle`].
     ///
     /// # Errors
     /// The reason why the PIN is refused.

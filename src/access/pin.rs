@@ -1,4 +1,4 @@
-//! PINs, which add a person's rights to the session of a shared panel.
+//! PINs, which give the session of a shared panel a person's name, role and grippers.
 
 use std::fmt;
 use std::str::FromStr;

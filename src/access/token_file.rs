@@ -203,13 +203,14 @@ impl TokenFile {
 
     fn write(&self, content: &Tokens) -> io::Result<()> {
         let unfinished = self.path.with_extension("unfinished");
-        // Left behind by a killed process, or a trap: it must not decide where and with which permissions this is written.
+        // A leftover of a killed process, or a link planted by another user. It must not decide where, and with which
+        // permissions, the tokens are written.
         match fs::remove_file(&unfinished) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
             _ => {}
         }
         let mut file = OpenOptions::new().write(true).create_new(true).mode(MODE).open(&unfinished)?;
-        // The gateway keeps its file if another user changes it, e.g. root.
+        // If another user such as root changes the file, its owner stays, so that the gateway can still read the file.
         if let Ok(old) = fs::metadata(&self.path)
             && old.uid() != file.metadata()?.uid()
         {

@@ -78,7 +78,7 @@ impl Alarms {
             let alarms = serde_json::from_str::<Vec<Alarm>>(state.value.as_deref().unwrap_or("[]"));
             match alarms {
                 Ok(alarms) => restored.extend(alarms),
-                Err(error) => tracing::warn!(%error, "persisted alarms not restored: they have another form"),
+                Err(error) => tracing::warn!(%error, "persisted alarms not restored: unknown format"),
             }
             // The gateway had another name in that run.
             if state.gripper != gateway {
@@ -198,7 +198,7 @@ impl Alarms {
                 key: PersistedKey::Alarms,
                 value: Some(value),
             })),
-            Err(error) => tracing::error!(%error, "alarms not persisted: they have no JSON form"),
+            Err(error) => tracing::error!(%error, "alarms not persisted: they cannot be encoded as JSON"),
         }
         for (step, alarm) in changes {
             let detail = Detail::Alarm(Box::new(AlarmEvent::of(step, &alarm)));

@@ -101,7 +101,8 @@ fn url_of(config: Option<&Config>) -> anyhow::Result<Url> {
     Ok(format!("{}://{listen}/", config.scheme()).parse()?)
 }
 
-/// Trusts the certificates in a file, for the name in the first of them that is the host's, or else for the host.
+/// Trusts the certificates in a file. The server's certificate must be valid for the first DNS name in the first of
+/// them, or for `host` if that one has no DNS name.
 fn trusting(path: &Path, host: &str) -> anyhow::Result<(ClientConfig, ServerName<'static>)> {
     let wrong = || format!("{} has no certificate in PEM", path.display());
     let pem = fs::read(path).with_context(|| path.display().to_string())?;

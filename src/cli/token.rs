@@ -43,7 +43,7 @@ enum Command {
         /// Lifetime, e.g. 90d, 12h or never
         #[arg(long, value_name = "TIME", default_value = DEFAULT_EXPIRY)]
         expires: String,
-        /// Create a PIN of six digits instead, which adds its role to a signed-in panel
+        /// Create a PIN of six digits instead, which gives a signed-in panel this name, role and grippers
         #[arg(long)]
         pin: bool,
     },

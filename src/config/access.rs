@@ -146,11 +146,11 @@ fn clients(file: &File) -> Result<Vec<KnownClient>, ConfigError> {
             }
             (None, Some(_)) => {
                 let detail =
-                    "a client's certificate needs client_ca in the tls table: the certificate of its authority";
+                    "a client's certificate needs client_ca in [tls]: the certificate of the authority that signed it";
                 return Err(ConfigError::at(&at(&client.name), detail));
             }
             _ => {
-                let detail = "a client is known by one sign: write either address or certificate";
+                let detail = "a client is known by its address or by its certificate: write one of the two";
                 return Err(ConfigError::at(&at(&client.name), detail));
             }
         };

@@ -61,7 +61,7 @@ fn wrong_value_is_named_with_its_line() {
         ),
         ("[[clients]]\nname = \"plc\"\naddress = \"::1\"\nrole = \"boss\"", "gateway.toml:4: unknown variant `boss`"),
         ("[access]\npin_idle_min = 500", "gateway.toml:2: pin_idle_min is 500"),
-        ("[[clients]]\nname = \"plc\"\nrole = \"stop\"", "gateway.toml:2: a client is known by one sign"),
+        ("[[clients]]\nname = \"plc\"\nrole = \"stop\"", "gateway.toml:2: a client is known by its address or by its certificate"),
         (
             "[[clients]]\nname = \"plc\"\ncertificate = \"plc\"\nrole = \"stop\"",
             "gateway.toml:2: a client's certificate",

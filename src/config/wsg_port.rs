@@ -29,7 +29,8 @@ const LOST_AFTER_MS: RangeInclusive<u32> = 100..=60_000;
 pub struct WsgPort {
     /// Addresses that the port is served on, with their places in the configuration.
     pub addresses: Vec<(WsgAddress, ConfigPlace)>,
-    /// Networks that may connect; empty means all.
+    /// Networks that may connect. If empty: known clients and this computer, or every client if the gateway needs no
+    /// credentials (see `KnownPeers::allows`).
     pub allow: Vec<IpNet>,
     /// FAST STOPs that a client may acknowledge.
     pub acknowledge: AcknowledgePolicy,
@@ -116,8 +117,8 @@ impl WsgPort {
             if !address.ip().is_loopback() && self.allow.is_empty() && !insecure {
                 let detail = format!(
                     "{address} is not a loopback address, and the WSG protocol has no credentials: any client that \
-                     reaches it can move the gripper. List the allowed networks in wsg_port_allow, name the clients in a \
-                     clients table, or pass --insecure if the network is yours alone"
+                     reaches it can move the gripper. List the allowed networks in wsg_port_allow, name the clients in \
+                     [[clients]] sections, or pass --insecure if the network is yours alone"
                 );
                 return Err(ConfigError::at(place, detail));
             }

@@ -45,7 +45,7 @@ pub(super) struct Reloader {
     pub(super) modbus: Option<ServedModbus>,
 }
 
-/// Everything that a new configuration needs. Applying it cannot fail.
+/// Everything that a new configuration needs. Applying it fails only on internal errors.
 struct Prepared {
     config: Config,
     access: AccessRules,
@@ -61,7 +61,7 @@ struct Prepared {
     changes: Vec<String>,
 }
 
-/// Reason why a reload changes nothing, with the remedy.
+/// Reason why a reload failed, with the remedy. Only [`Self::Partial`] leaves changes behind.
 #[derive(Debug, thiserror::Error)]
 enum ReloadError {
     #[error(transparent)]
@@ -70,6 +70,8 @@ enum ReloadError {
     NeedsRestart(Vec<&'static str>),
     #[error("{0:#}")]
     Unusable(anyhow::Error),
+    #[error("new configuration applied only in part ({0:#}): restart the gateway")]
+    Partial(anyhow::Error),
 }
 
 impl Reloader {
@@ -93,7 +95,7 @@ impl Reloader {
             let result = self.reload(client.as_ref()).await.map_err(|error| error.to_string());
             match &result {
                 Ok(changes) => tracing::info!(changes = changes.join("; "), "configuration reloaded"),
-                Err(error) => tracing::error!(error, "configuration not reloaded: nothing has changed"),
+                Err(error) => tracing::error!(error, "configuration not reloaded"),
             }
             systemd::ready();
             if let Some(answer) = answer {
@@ -107,7 +109,7 @@ impl Reloader {
         let prepared = self.prepare().await?;
         let changes = prepared.changes.clone();
         // With the same configuration, the files that it names can still be new.
-        self.apply(prepared).await.map_err(ReloadError::Unusable)?;
+        self.apply(prepared).await.map_err(ReloadError::Partial)?;
         if !changes.is_empty() {
             let detail = Detail::Gateway(GatewayEvent::Reloaded { changes: changes.clone() });
             let event = Event::new(Now::read().wall, None, detail);
@@ -202,7 +204,7 @@ fn fixed(before: &Config, after: &Config) -> Vec<&'static str> {
         ("whether clients need credentials", is_guarded(before) != is_guarded(after)),
         ("whether connections are encrypted", before.tls.is_some() != after.tls.is_some()),
         // An empty file, e.g. while an editor writes it, stands for simulated grippers.
-        ("the grippers of the file to the default ones", !has_defaults(before) && has_defaults(after)),
+        ("the configured grippers (the new file names none)", !has_defaults(before) && has_defaults(after)),
     ];
     differs.into_iter().filter(|(_, differs)| *differs).map(|(name, _)| name).collect()
 }

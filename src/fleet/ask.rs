@@ -48,12 +48,14 @@ const MAX_PROOFS: usize = 16;
 /// Prefix of the methods that manage a lease themselves. No lease is kept for them.
 const LEASE_METHODS: &str = "lease.";
 
-/// The field with a lease token, and the HTTP status that refuses the token of an ended lease.
+/// Field with a lease token.
 const LEASE: &str = "lease";
+
+/// HTTP status that refuses the token of an ended lease.
+const CONFLICT: u16 = 409;
 
 /// Selector parameter with the client's token.
 pub const TOKEN: &str = "token";
-const CONFLICT: u16 = 409;
 
 /// Keys at which a gateway answers reads of its own: its lists of records, and its readiness.
 pub const EVENTS: &str = "events";
@@ -148,8 +150,8 @@ impl Peers {
         }
     }
 
-    /// Returns a reply that comes from a session of this gateway. After an outage, the reply can come before the
-    /// session's token.
+    /// Returns the reply if its session is known as `gateway`, else `None`. After an outage, the reply can come before
+    /// the session's token, so the check is repeated up to [`PROOFS`] times.
     async fn of_owner(&self, gateway: &Name, reply: Reply) -> Option<Reply> {
         let (session, replier) = (self.session.get()?, reply.replier_id()?.zid().to_string());
         for _ in 0..PROOFS {

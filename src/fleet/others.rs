@@ -104,7 +104,7 @@ impl Others {
         before + self.grippers.range(name..).take_while(is_same).count()
     }
 
-    /// Takes a known gripper's state, with which this session answered a query sent at `asked_at`.
+    /// Notes the state of a known gripper that this session sent in reply to a query of `asked_at`.
     pub(super) fn take_answer(&mut self, name: &(Name, Name), report: &PeerReport, session: &str, asked_at: Instant) {
         let is_owners = self.instances_of(&name.0).eq([session]);
         let Some(known) = self.grippers.get_mut(name) else { return };

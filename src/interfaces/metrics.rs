@@ -6,7 +6,7 @@ use prometheus::{IntCounter, IntCounterVec, IntGauge, Opts, Registry, Result};
 /// Route label of requests without a route. Clients can invent any number of paths, so the path itself is not a label.
 pub(super) const NO_ROUTE: &str = "none";
 
-/// Metrics of one interface: a series for each route, method and status, and two more.
+/// Metrics of one interface: open connections, answered requests by route, method and status, and skipped updates.
 #[derive(Debug, Clone)]
 pub struct InterfaceMetrics {
     clients: IntGauge,

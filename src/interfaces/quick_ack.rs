@@ -1,8 +1,8 @@
 //! A TCP stream that acknowledges data at once and moves to the runtime that serves it.
 //!
 //! Many clients send a request's header and body in two packets and hold the second back until the first is
-//! acknowledged, which the kernel delays by 40 ms. Each such request on a kept connection would lose that time,
-//! including the reason of a FAST STOP.
+//! acknowledged, which the kernel delays by 40 ms. Each such request on a kept connection would lose that time, and a
+//! FAST STOP would lose its reason, for which it waits only 20 ms.
 //!
 //! A connection can move to another runtime, so that the traffic of a thousand observers does not wake the thread of
 //! the old one.

@@ -156,14 +156,14 @@ impl TlsFiles {
 pub fn holder(certificate: &CertificateDer<'_>) -> Option<ClientCertificate> {
     let (_, certificate) = X509Certificate::from_der(certificate).ok()?;
     let mut names = certificate.subject().iter_common_name();
-    // With two names, it would be open which one the authority has checked.
+    // With two names, it would be unclear which one the authority has checked.
     let (name, None) = (names.next()?, names.next()) else { return None };
     let common_name = name.as_str().ok()?.into();
     let expires_at = Timestamp::from_second(certificate.validity().not_after.timestamp()).ok()?;
     Some(ClientCertificate { common_name, expires_at })
 }
 
-/// Returns a name or address that a server's certificate is for (RFC 5280, 4.2.1.6).
+/// Returns the first DNS name that a server's certificate is for (RFC 5280, 4.2.1.6); `None` if it has none.
 #[must_use]
 pub fn server_name(certificate: &CertificateDer<'_>) -> Option<String> {
     let (_, certificate) = X509Certificate::from_der(certificate).ok()?;

@@ -295,7 +295,7 @@ impl Writing {
         if let Some(check) = self.check.lock().unwrap_or_else(PoisonError::into_inner).take() {
             check.end();
         }
-        // A thread that has gone reported the cause.
+        // If the thread has already ended, `join` returns the cause.
         let _ = self.inputs.send(WriterInput::End { orderly });
         thread.join().unwrap_or_else(|_| Err("the journal thread panicked".to_owned()))
     }

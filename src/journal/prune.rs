@@ -25,7 +25,8 @@ const STEP_PAGES: i64 = 1024;
 /// Interval between checks for records beyond the limits.
 const EVERY: Duration = Duration::from_mins(1);
 
-/// Divisor of the size limit: the next check comes early once the quotient in bytes has been written.
+/// Part of the size limit, as a divisor. Once this part has been written since the last check, the next check is due
+/// early.
 const LOOK_PART: u64 = 64;
 
 /// Age beyond the limit at which a removal begins. Without this leeway every check would remove a few records and add

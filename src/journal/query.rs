@@ -44,7 +44,7 @@ pub struct Filter<K> {
     pub gripper: Option<Name>,
     pub kind: Option<K>,
     pub part_id: Option<PartId>,
-    /// Beginning of the part's name.
+    /// Beginning of the part's id.
     pub part_prefix: Option<PartId>,
     pub outcome: Option<Outcome>,
     /// Id of the command; for grip records their own id.
@@ -190,7 +190,7 @@ struct Plan {
     conditions: Vec<(&'static str, &'static str, String)>,
 }
 
-/// Returns none if nothing can match.
+/// Chooses the conditions and the index for a filter. Returns `None` if no record can match.
 fn plan<K: ChainKind>(filter: &Filter<K>) -> Option<Plan> {
     let has_part = filter.part_id.is_some() || filter.part_prefix.is_some();
     let is_impossible = |kind: K| {

@@ -201,7 +201,7 @@ impl JournalWriter {
                 true
             }
             Err(error) => {
-                tracing::error!(%error, "record lost: it has no JSON form");
+                tracing::error!(%error, "record lost: it cannot be encoded as JSON");
                 self.shared.lose();
                 false
             }

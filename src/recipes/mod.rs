@@ -53,7 +53,7 @@ impl Recipes {
             for value in values {
                 match serde_json::from_value(value) {
                     Ok(version) => restored.push(version),
-                    Err(error) => tracing::warn!(%error, "version of a recipe not restored: it has another form"),
+                    Err(error) => tracing::warn!(%error, "version of a recipe not restored: unknown format"),
                 }
             }
         }
@@ -142,7 +142,7 @@ impl Recipes {
                 key: PersistedKey::Recipes,
                 value: Some(value),
             })),
-            Err(error) => tracing::error!(%error, "recipes not persisted: they have no JSON form"),
+            Err(error) => tracing::error!(%error, "recipes not persisted: they cannot be encoded as JSON"),
         }
     }
 

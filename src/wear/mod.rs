@@ -215,7 +215,7 @@ impl Wear {
                 key: PersistedKey::Wear,
                 value: Some(value),
             })),
-            Err(error) => tracing::error!(%error, %gripper, "wear of the fingers not persisted: it has no JSON form"),
+            Err(error) => tracing::error!(%error, %gripper, "wear of the fingers not persisted: it cannot be encoded as JSON"),
         }
     }
 

@@ -90,7 +90,7 @@ async fn unusable_configuration_changes_nothing() {
     for (toml, expected) in [
         (format!("nonsense = 1\n{g}"), "nonsense"),
         (format!("name = \"other\"\n{g}"), "name cannot change while the gateway runs"),
-        (String::new(), "the grippers of the file to the default ones cannot change"),
+        (String::new(), "the configured grippers (the new file names none) cannot change"),
         (format!("{g}[access]\n"), "whether clients need credentials cannot change"),
         (format!("{g}{}", gripper("h", &format!("wsg_port = \"{port}\""))), "cannot listen on"),
         (

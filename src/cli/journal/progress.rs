@@ -1,4 +1,4 @@
-//! ProgressLine of a long task, on a terminal.
+//! The progress line of a long task, on a terminal.
 
 use std::fmt::Display;
 use std::io::{IsTerminal as _, Write as _, stderr};

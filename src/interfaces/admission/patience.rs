@@ -29,7 +29,7 @@ impl Patience {
         if self.rests_until.is_some_and(|until| begun < until) || !admission.would_displace() {
             return;
         }
-        // First bytes that have arrived are still to be seen.
+        // Lets the connections' tasks read first bytes that have already arrived.
         yield_now().await;
         let displaces = async {
             while admission.would_displace() {

@@ -282,8 +282,8 @@ impl Table {
         }
     }
 
-    /// Changes an entry that is not silent any more, and moves it to its new class. An idle connection beyond the bound
-    /// evicts another.
+    /// Marks an entry as no longer silent, changes it, and moves it to its new class. A connection that enters a full
+    /// class of [`WhenFull::Evict`] evicts another one.
     fn change(&mut self, id: Id, change: impl FnOnce(&mut Entry)) {
         let Some(entry) = self.entries.get_mut(&id) else { return };
         let (class, rank) = (entry.class(), entry.rank());

@@ -20,7 +20,7 @@ pub async fn record(context: &HttpContext, request: Request, next: impl AsyncFnO
     }
     let client = client(request.extensions());
     let (method, route) = (request.method().clone(), request.extensions().get::<MatchedPath>().cloned());
-    // A name that no gripper has would be one more kind of refusal.
+    // An invented gripper name is left out, because each name would be counted as another kind of refusal.
     let gripper = gripper(request.uri().path()).filter(|name| context.gateway.grippers.get(name).is_some());
     let response = next(request).await;
     if let Some(RefusedMark { code, cause, is_recorded: false }) = response.extensions().get().cloned()

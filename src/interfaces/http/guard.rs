@@ -32,7 +32,7 @@ pub async fn refuse_foreigners(
 ) -> Response {
     match check(&request, settings) {
         Ok(()) => {
-            // For the dashboard, whose frames other pages may have.
+            // For the dashboard: the pages that may show it in a frame.
             request.extensions_mut().insert(settings.frame_policy.clone());
             next(request).await
         }
@@ -66,7 +66,8 @@ fn check(request: &Request, settings: &HttpSettings) -> Result<(), Problem> {
     let host = authority(request)?;
     match &host {
         Some(host) if !is_ours(host, &settings.allowed_hosts) => {
-            let detail = "the Host header must be an IP address, localhost or a configured host name";
+            let detail = "the Host header names an unknown host: use an IP address or localhost, or add the name to \
+                          hosts in the configuration";
             return Err(Problem::new(Code::ForeignHost, detail));
         }
         _ => {}
@@ -75,7 +76,8 @@ fn check(request: &Request, settings: &HttpSettings) -> Result<(), Problem> {
         let is_same = |(origin, host)| is_same(origin, host, settings.tls.is_some());
         let same = origin.to_str().ok().zip(host.as_deref()).is_some_and(is_same);
         if !same && !settings.allows_origin(origin) {
-            let detail = "the Origin header is foreign: web pages of other origins can't use this gateway";
+            let detail = "the Origin header names a web page of another origin: only origins in cors_origins can use \
+                          this gateway";
             return Err(Problem::new(Code::ForeignOrigin, detail));
         }
     }

@@ -35,7 +35,7 @@ pub struct RecordsQuery {
     /// Only records of this part. At most 48 bytes.
     #[param(max_length = 48, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$", example = "4711")]
     part_id: Option<String>,
-    /// Only records of parts whose names begin like this. At most 48 bytes.
+    /// Only records of parts whose ids begin with this text. At most 48 bytes.
     #[param(max_length = 48, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$", example = "47")]
     part_prefix: Option<String>,
     /// Only records with this outcome.
@@ -231,7 +231,9 @@ fn command_id(text: &str) -> Result<CommandId, Problem> {
 }
 
 fn no_such_grip() -> Problem {
-    Problem::not_found("grip record with this id: a record appears when its command has ended, a grip's a second later")
+    Problem::not_found(
+        "grip record with this id: a record appears when its command has ended, and that of a grip one second later",
+    )
 }
 
 /// Get a grip record

@@ -24,7 +24,7 @@ use crate::operations::{
 };
 use crate::recipes::ExpectedVersion;
 
-/// Parameters that the path does not name, as they came.
+/// A request's body: a stream that is still to be read, or fields that are already parsed.
 pub enum RequestBody {
     Stream(Body),
     Parsed(Fields),

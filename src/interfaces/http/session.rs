@@ -88,11 +88,11 @@ pub struct EnterPin {
 
 /// Enter a PIN
 ///
-/// Adds a person's rights to the browser's session, until `DELETE` or until they are unused for a while. After five
-/// wrong PINs, the sessions of one token have to wait for five minutes.
+/// Gives the browser's session the name, role and grippers of a person in place of its own, until `DELETE` or until
+/// they are unused for `pin_idle_min`. After five wrong PINs, the sessions of one token have to wait for five minutes.
 #[utoipa::path(
     post, path = "/session/pin", operation_id = "enter_pin", tag = "gateway", request_body = EnterPin,
-    responses((status = 200, description = "The person's rights are added", body = SignedIn), SessionProblem)
+    responses((status = 200, description = "The session now has the person's rights", body = SignedIn), SessionProblem)
 )]
 pub async fn enter_pin(Shared(context): Shared<Arc<HttpContext>>, request: Request) -> Result<Json<SignedIn>, Problem> {
     let id = open_session(&context, &request).ok_or(Unauthorized::SessionEnded)?;
@@ -118,7 +118,7 @@ pub async fn forget_pin(Shared(context): Shared<Arc<HttpContext>>, request: Requ
 
 /// Parses a body with a secret, which no problem repeats.
 fn secret<T: DeserializeOwned>(text: &[u8]) -> Result<T, Problem> {
-    parse(text).map_err(|_| Problem::malformed("body", "the body must be an object with the one field of this request"))
+    parse(text).map_err(|_| Problem::malformed("body", "the body must be an object with one field: token, or pin"))
 }
 
 /// Returns the session that a request names.

@@ -31,7 +31,8 @@ impl Identified {
         Self { visitor, identity }
     }
 
-    /// Returns the client of a request. A request that no connection brought comes from nobody.
+    /// Returns the client of a request. A request without a connection, as in tests, counts as sent without a
+    /// credential.
     pub fn client_of(access: &Access, extensions: &Extensions) -> Self {
         extensions.get().cloned().unwrap_or_else(|| {
             let visitor = Visitor { credential: Credential::None, origin: ClientOrigin::default() };

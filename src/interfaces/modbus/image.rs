@@ -298,7 +298,7 @@ impl Image {
     }
 }
 
-/// Number of a FAST STOP, from 1 to 65535. Each FAST STOP has another than the one before.
+/// Number of a FAST STOP, from 1 to 65535. It differs from the number of the FAST STOP before.
 pub(super) fn number_of(latch: &LatchFields) -> u16 {
     (latch.epoch % u64::from(u16::MAX)) as u16 + 1
 }

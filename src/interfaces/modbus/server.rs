@@ -59,7 +59,7 @@ fn admit(
 ) -> Option<ModbusConnection> {
     let peers = &settings.now().peers;
     if !peers.allows(peer.ip()) {
-        tracing::warn!(%peer, "Modbus connection refused: add the address to modbus_allow or to a clients section");
+        tracing::warn!(%peer, "Modbus connection refused: add the address to modbus_allow or to a [[clients]] section");
         return None;
     }
     if let Err(error) = prepare(&stream) {

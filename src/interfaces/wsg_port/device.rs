@@ -1,6 +1,6 @@
 //! One client's virtual device, sans-IO: takes bytes, replies and `now`; produces frames and orders for the gripper.
 //!
-//! # How it is driven
+//! # Inputs and outputs
 //!
 //! - Inputs: [`VirtualDevice::receive`], [`VirtualDevice::answer`], [`VirtualDevice::handle_timeout`]. Each takes the
 //!   newest state, which queries and automatic updates are served from.

@@ -51,7 +51,7 @@ impl Cause {
             Self::Acknowledge => {
                 "acknowledge the FAST STOP over HTTP or on the dashboard, or set wsg_port_acknowledge = \"any\""
             }
-            Self::Forbidden => "give the client another role or this gripper in its clients table",
+            Self::Forbidden => "change the client's role, or add this gripper to its [[clients]] section",
         }
     }
 }

@@ -33,7 +33,7 @@ type Connection = Served<tokio::net::tcp::OwnedReadHalf, tokio::net::tcp::OwnedW
 fn admit(port: &Arc<Port>, stream: TcpStream, peer: SocketAddr, admission: &Arc<Admission>) -> Option<Connection> {
     let gripper = port.gripper.name();
     if !port.peers.allows(peer.ip()) {
-        tracing::warn!(%gripper, %peer, "connection refused: address neither in wsg_port_allow nor of a known client");
+        tracing::warn!(%gripper, %peer, "connection refused: add the address to wsg_port_allow or to a [[clients]] section");
         return None;
     }
     if let Err(error) = prepare(&stream) {

@@ -122,7 +122,7 @@ pub(super) async fn serve(
         }
         if !port.peers.allows(peer.ip()) {
             if ignored.is_first(peer.ip()) {
-                tracing::warn!(%gripper, %peer, "datagrams ignored: address neither in wsg_port_allow nor of a known client");
+                tracing::warn!(%gripper, %peer, "datagrams ignored: add the address to wsg_port_allow or to a [[clients]] section");
             }
             continue;
         }

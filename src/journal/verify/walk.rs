@@ -136,7 +136,7 @@ impl Walk {
         *count += 1;
         let seq: i64 = row.get(0)?;
         if seq != self.seq + 1 {
-            self.find(verifier, self.seq + 1, format!("missing, up to {}", seq - 1));
+            self.find(verifier, self.seq + 1, format!("missing; the next record found is {seq}"));
             self.hashes.clear();
         }
         (self.seq, self.after) = (seq, seq);

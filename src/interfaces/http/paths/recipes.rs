@@ -54,7 +54,7 @@ paths! {
     set => recipes::SET;
     /// Remove a recipe
     ///
-    /// Removes the recipe of a part. Its versions can still be listed until they are dropped.
+    /// Removes the recipe of a part. Its versions stay listed while they are among the newest 1,000 of all recipes.
     #[utoipa::path(
         delete, path = "/recipes/{part_id}", operation_id = "remove_recipe", tag = "recipes",
         params(RecipePath, ConditionHeaders),
@@ -76,8 +76,8 @@ paths! {
     versions => recipes::VERSIONS;
     /// Propose limits for a recipe
     ///
-    /// Proposes limits from the contact widths of the part's newest grips with outcome `PART_HELD`: their mean, minus
-    /// and plus `k` standard deviations, but at least 0.01 mm. Changes nothing: set the limits with the recipe.
+    /// Proposes limits from the contact widths of the part's newest grips with outcome `PART_HELD`: their mean minus
+    /// and plus `k` standard deviations, or 0.01 mm if that is more. Changes nothing: set the limits with the recipe.
     #[utoipa::path(
         post, path = "/recipes/{part_id}/teach", operation_id = "teach_recipe", tag = "recipes",
         params(RecipePath),

@@ -140,7 +140,7 @@ impl ModbusConnection {
         self.lose_leases().await;
     }
 
-    /// Reads what the client sent before its end: a FAST STOP among it counts.
+    /// Performs the FAST STOPs among the last requests that the client sent before it disconnected.
     async fn take_last_fast_stops(&mut self) {
         let mut waits = if self.is_fresh { FIRST_WORDS_WITHIN } else { Duration::ZERO };
         for _ in 0..MAX_LAST_REQUESTS {

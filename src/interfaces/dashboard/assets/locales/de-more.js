@@ -408,7 +408,7 @@ export const moreDe = {
   'editor.frame': 'Telegramm mit Prüfsumme',
   'editor.exact': 'Genau diese Bytes senden',
   'editor.exact_hint':
-    'Das Gateway prüft nichts und antwortet nicht selbst. Für Kennungen, die die Finger weder bewegen noch anhalten und nicht als automatische Meldung kommen.',
+    'Das Gateway prüft nichts und antwortet nicht selbst. Nur für Kennungen, die die Finger weder bewegen noch anhalten und nicht als automatische Meldung kommen.',
   'editor.send': 'Senden',
   'editor.answer': 'Antwort',
   'editor.moves': 'Kennungen, die das Gateway nicht kennt, gelten als Bewegung und brauchen die Steuerung.',

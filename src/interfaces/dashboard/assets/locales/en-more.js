@@ -406,7 +406,7 @@ export const moreEn = {
   'editor.frame': 'Frame with its checksum',
   'editor.exact': 'Send exactly these bytes',
   'editor.exact_hint':
-    'The gateway checks nothing and answers nothing itself. For IDs that neither move nor stop the fingers, and are not sent as automatic updates.',
+    'The gateway checks nothing and answers nothing itself. Works only for IDs that neither move nor stop the fingers and that the gripper does not send as automatic updates.',
   'editor.send': 'Send',
   'editor.answer': 'Answer',
   'editor.moves': 'IDs unknown to the gateway count as motions and need control.',
