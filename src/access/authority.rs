@@ -11,7 +11,7 @@ use super::identity::{Identity, Proof, Unauthorized};
 use super::known::{ClientOrigin, KnownClient};
 use super::pin::Pin;
 use super::role::{Right, Role};
-use super::session::{Behind, SessionTimes, Sessions};
+use super::session::{SessionCredentials, SessionTimes, Sessions};
 use super::token::TokenSecret;
 use super::token_file::{FileVersion, StoredToken, TokenFile, TokenFileError, TokenHash, Tokens};
 
@@ -125,8 +125,9 @@ impl Guard {
     }
 
     /// Identifies a client by its session: as the person whose PIN was entered there, or else by the session's token.
-    fn by_session(&self, behind: Option<Behind>) -> Result<Identity, Unauthorized> {
-        let (Behind { token, pin }, tokens) = behind.zip(self.tokens()).ok_or(Unauthorized::SessionEnded)?;
+    fn by_session(&self, credentials: Option<SessionCredentials>) -> Result<Identity, Unauthorized> {
+        let (SessionCredentials { token, pin }, tokens) =
+            credentials.zip(self.tokens()).ok_or(Unauthorized::SessionEnded)?;
         let identity = Self::by_hash(&tokens, token, Proof::Session).map_err(|_| Unauthorized::SessionEnded)?;
         let person = pin.and_then(|pin| valid(tokens.find_pin(pin)?, Proof::Pin).ok());
         Ok(person.unwrap_or(identity))
@@ -186,7 +187,7 @@ impl Access {
             Credential::Malformed => Err(Unauthorized::Malformed),
             Credential::Token(secret) => guard.by_token(secret, Proof::Token).map(|(_, identity)| identity),
             Credential::Session(id) => {
-                let identity = guard.by_session(self.sessions.behind(Instant::now(), guard.times, id))?;
+                let identity = guard.by_session(self.sessions.credentials(Instant::now(), guard.times, id))?;
                 Ok(Identity { session: Some(id.clone()), ..identity })
             }
         }
@@ -197,8 +198,8 @@ impl Access {
     pub fn note_use(&self, session: &SessionId, is_change: bool) {
         let AccessRules::Guarded(guard) = &*self.rules() else { return };
         let now = Instant::now();
-        let behind = self.sessions.behind(now, guard.times, session);
-        if is_change || behind.is_some_and(|behind| guard.only_reads(behind.token)) {
+        let credentials = self.sessions.credentials(now, guard.times, session);
+        if is_change || credentials.is_some_and(|credentials| guard.only_reads(credentials.token)) {
             self.sessions.note_use(now, session, is_change);
         }
     }
@@ -268,9 +269,9 @@ impl Access {
     pub fn enter_pin(&self, id: &SessionId, pin: &Pin) -> Result<Identity, Unauthorized> {
         let AccessRules::Guarded(guard) = &*self.rules() else { return Err(Unauthorized::SessionEnded) };
         let now = Instant::now();
-        let behind = self.sessions.behind(now, guard.times, id).ok_or(Unauthorized::SessionEnded)?;
-        guard.by_session(Some(behind))?;
-        if !self.sessions.may_try_pin(now, behind.token) {
+        let credentials = self.sessions.credentials(now, guard.times, id).ok_or(Unauthorized::SessionEnded)?;
+        guard.by_session(Some(credentials))?;
+        if !self.sessions.count_pin_attempt(now, credentials.token) {
             return Err(Unauthorized::TooManyPins);
         }
         let tokens = guard.tokens().ok_or(Unauthorized::WrongPin)?;

@@ -3,7 +3,7 @@ use std::path::PathBuf;
 
 use jiff::ToSpan as _;
 
-use super::super::{ClientCertificate, ClientSign, NewToken, Scope};
+use super::super::{ClientCertificate, ClientMatch, NewToken, Scope};
 use super::*;
 
 struct Tried {
@@ -24,11 +24,12 @@ fn tried(name: &str) -> Tried {
     let file = TokenFile::at(directory.join("tokens.json"));
     let plc = KnownClient {
         name: "plc".parse().unwrap(),
-        sign: ClientSign::Address("192.168.1.10/32".parse().unwrap()),
+        matched_by: ClientMatch::Address("192.168.1.10/32".parse().unwrap()),
         role: Role::Operator,
         scope: Scope::Only(["left".parse().unwrap()].into()),
     };
-    let mes = KnownClient { sign: ClientSign::Certificate("mes".to_owned()), role: Role::Observer, ..plc.clone() };
+    let mes =
+        KnownClient { matched_by: ClientMatch::Certificate("mes".to_owned()), role: Role::Observer, ..plc.clone() };
     let times = SessionTimes { idle: Duration::from_mins(10), pin_idle: Duration::from_mins(5) };
     let guard = Guard::new(file.clone(), vec![plc, mes], (FastStopPolicy::Credential, None), times).unwrap();
     Tried { directory, file, access: Access::new(AccessRules::Guarded(Box::new(guard))) }

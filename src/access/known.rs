@@ -14,14 +14,14 @@ use crate::gripper::model::Name;
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct KnownClient {
     pub name: Name,
-    pub sign: ClientSign,
+    pub matched_by: ClientMatch,
     pub role: Role,
     pub scope: Scope,
 }
 
-/// The sign by which a client is known.
+/// The address or certificate by which a client is known.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum ClientSign {
+pub enum ClientMatch {
     /// An address in this network.
     Address(IpNet),
     /// A certificate for this common name (RFC 5280, 4.1.2.6), signed by an authority of `client_ca`.
@@ -59,20 +59,22 @@ impl KnownClient {
         let certificate = origin.certificate.as_ref().filter(|certificate| certificate.expires_at > Timestamp::now());
         let by_certificate = certificate.and_then(|certificate| {
             let is_holder =
-                |client: &&Self| matches!(&client.sign, ClientSign::Certificate(name) if **name == *certificate.common_name);
+                |client: &&Self| matches!(&client.matched_by, ClientMatch::Certificate(name) if **name == *certificate.common_name);
             clients.iter().find(is_holder)
         });
         let by_address = || {
             let address = origin.address?;
-            clients.iter().find(|client| matches!(&client.sign, ClientSign::Address(net) if net.contains(&address)))
+            clients
+                .iter()
+                .find(|client| matches!(&client.matched_by, ClientMatch::Address(net) if net.contains(&address)))
         };
         by_certificate.or_else(by_address).map(Self::identity)
     }
 
     fn identity(&self) -> Identity {
-        let proof = match self.sign {
-            ClientSign::Address(_) => Proof::Address,
-            ClientSign::Certificate(_) => Proof::Certificate,
+        let proof = match self.matched_by {
+            ClientMatch::Address(_) => Proof::Address,
+            ClientMatch::Certificate(_) => Proof::Certificate,
         };
         let (name, scope) = (Some(self.name.clone()), self.scope.clone());
         Identity { name, role: self.role, scope, expires_at: None, proof, session: None }

@@ -18,7 +18,7 @@ mod visitor;
 pub use authority::{Access, AccessRules, FastStopPolicy, Guard};
 pub use credential::{Credential, SessionId};
 pub use identity::{Identity, Proof, Scope, Unauthorized};
-pub use known::{ClientCertificate, ClientOrigin, ClientSign, KnownClient};
+pub use known::{ClientCertificate, ClientMatch, ClientOrigin, KnownClient};
 pub use pin::Pin;
 pub use role::{Right, Role};
 pub use session::SessionTimes;

@@ -47,7 +47,7 @@ struct Session {
 
 /// The credentials behind a session.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Behind {
+pub(super) struct SessionCredentials {
     pub token: TokenHash,
     pub pin: Option<TokenHash>,
 }
@@ -57,9 +57,9 @@ impl Session {
         now.duration_since(self.used) <= times.idle
     }
 
-    fn behind(&self, now: Instant, times: SessionTimes) -> Behind {
+    fn credentials(&self, now: Instant, times: SessionTimes) -> SessionCredentials {
         let pin = self.pin.filter(|(_, used)| now.duration_since(*used) <= times.pin_idle);
-        Behind { token: self.token, pin: pin.map(|(pin, _)| pin) }
+        SessionCredentials { token: self.token, pin: pin.map(|(pin, _)| pin) }
     }
 }
 
@@ -88,9 +88,12 @@ impl Sessions {
     }
 
     /// Returns the credentials behind a session that has not been idle for too long.
-    pub(super) fn behind(&self, now: Instant, times: SessionTimes, id: &SessionId) -> Option<Behind> {
+    pub(super) fn credentials(&self, now: Instant, times: SessionTimes, id: &SessionId) -> Option<SessionCredentials> {
         let open = self.open();
-        open.sessions.get(id).filter(|session| session.is_open(now, times)).map(|session| session.behind(now, times))
+        open.sessions
+            .get(id)
+            .filter(|session| session.is_open(now, times))
+            .map(|session| session.credentials(now, times))
     }
 
     /// Notes a use of an open session, and of its PIN if `with_pin`.
@@ -103,8 +106,9 @@ impl Sessions {
         }
     }
 
-    /// Counts an attempt to enter a PIN as a wrong one. Returns `false` if the sessions of this token have to wait.
-    pub(super) fn may_try_pin(&self, now: Instant, token: TokenHash) -> bool {
+    /// Counts an attempt to enter a PIN as wrong; [`Self::add_pin`] takes a right one back. Returns `false` if the
+    /// sessions of this token have to wait.
+    pub(super) fn count_pin_attempt(&self, now: Instant, token: TokenHash) -> bool {
         let mut open = self.open();
         open.wrong_pins.retain(|_, (_, at)| now.duration_since(*at) < PIN_PAUSE);
         let (count, at) = open.wrong_pins.entry(token).or_insert((0, now));
@@ -115,7 +119,7 @@ impl Sessions {
         may_try
     }
 
-    /// Adds the rights of a PIN to a session. The attempt was not a wrong one.
+    /// Gives a session the identity of a PIN, and takes back the attempt that [`Self::count_pin_attempt`] counted.
     pub(super) fn add_pin(&self, now: Instant, id: &SessionId, pin: TokenHash) {
         let mut open = self.open();
         let Some(session) = open.sessions.get_mut(id) else { return };
@@ -151,7 +155,7 @@ mod tests {
     const TIMES: SessionTimes = SessionTimes { idle: Duration::from_mins(10), pin_idle: Duration::from_mins(1) };
 
     fn token(sessions: &Sessions, now: Instant, id: &SessionId) -> Option<TokenHash> {
-        sessions.behind(now, TIMES, id).map(|behind| behind.token)
+        sessions.credentials(now, TIMES, id).map(|behind| behind.token)
     }
 
     #[test]
@@ -172,7 +176,7 @@ mod tests {
         let id = sessions.begin(start, TIMES, HASH).unwrap();
         sessions.add_pin(start, &id, PIN);
         let after = |seconds| start + Duration::from_secs(seconds);
-        let pin = |seconds| sessions.behind(after(seconds), TIMES, &id).unwrap().pin;
+        let pin = |seconds| sessions.credentials(after(seconds), TIMES, &id).unwrap().pin;
         sessions.note_use(after(50), &id, true);
         sessions.note_use(after(100), &id, false);
         assert_eq!([pin(100), pin(111)], [Some(PIN), None]);
@@ -184,13 +188,13 @@ mod tests {
         let (sessions, start) = (Sessions::default(), Instant::now());
         let id = sessions.begin(start, TIMES, HASH).unwrap();
         for _ in 0..MAX_WRONG_PINS {
-            assert!(sessions.may_try_pin(start, HASH));
+            assert!(sessions.count_pin_attempt(start, HASH));
         }
         // The last attempt was right, so a further one is possible.
         sessions.add_pin(start, &id, PIN);
-        assert!(sessions.may_try_pin(start, HASH));
-        assert!(!sessions.may_try_pin(start + PIN_PAUSE / 2, HASH) && sessions.may_try_pin(start, PIN));
-        assert!(sessions.may_try_pin(start + PIN_PAUSE, HASH));
+        assert!(sessions.count_pin_attempt(start, HASH));
+        assert!(!sessions.count_pin_attempt(start + PIN_PAUSE / 2, HASH) && sessions.count_pin_attempt(start, PIN));
+        assert!(sessions.count_pin_attempt(start + PIN_PAUSE, HASH));
     }
 
     #[test]

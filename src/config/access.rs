@@ -10,7 +10,7 @@ use toml::Spanned;
 
 use super::journal::bounded;
 use super::{ConfigError, File, Flags, Placed};
-use crate::access::{ClientSign, FastStopPolicy, KnownClient, Role, Scope, SessionTimes};
+use crate::access::{ClientMatch, FastStopPolicy, KnownClient, Role, Scope, SessionTimes};
 use crate::gripper::model::Name;
 
 /// Name of the file of tokens, beside the configuration file.
@@ -137,12 +137,12 @@ fn clients(file: &File) -> Result<Vec<KnownClient>, ConfigError> {
         let at = |value: &Spanned<String>| file.place(value.span().start);
         let name =
             |text: &Spanned<String>| text.get_ref().parse::<Name>().map_err(|error| ConfigError::at(&at(text), error));
-        let sign = match (&client.address, &client.certificate) {
-            (Some(address), None) => {
-                ClientSign::Address(network(address.get_ref()).map_err(|detail| ConfigError::at(&at(address), detail))?)
-            }
+        let matched_by = match (&client.address, &client.certificate) {
+            (Some(address), None) => ClientMatch::Address(
+                network(address.get_ref()).map_err(|detail| ConfigError::at(&at(address), detail))?,
+            ),
             (None, Some(certificate)) if file.content.tls.as_ref().is_some_and(|tls| tls.client_ca.is_some()) => {
-                ClientSign::Certificate(certificate.clone())
+                ClientMatch::Certificate(certificate.clone())
             }
             (None, Some(_)) => {
                 let detail =
@@ -156,7 +156,7 @@ fn clients(file: &File) -> Result<Vec<KnownClient>, ConfigError> {
         };
         let grippers = client.grippers.as_ref().map(|grippers| grippers.iter().map(name).collect::<Result<_, _>>());
         let scope = grippers.transpose()?.map_or(Scope::All, Scope::Only);
-        Ok(KnownClient { name: name(&client.name)?, sign, role: client.role, scope })
+        Ok(KnownClient { name: name(&client.name)?, matched_by, role: client.role, scope })
     };
     file.content.clients.iter().map(parse).collect()
 }

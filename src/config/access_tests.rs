@@ -24,7 +24,7 @@ fn credentials_are_needed_where_they_are_mentioned() {
     assert!(matches!(parsed(&flags, "").unwrap().access, AccessConfig::Guarded(_)));
     let plc = "[[clients]]\nname = \"plc\"\naddress = \"192.168.1.10\"\nrole = \"operator\"\ngrippers = [\"left\"]";
     let [plc] = guarded(plc).clients.try_into().unwrap();
-    assert_eq!((plc.sign, plc.role), (ClientSign::Address("192.168.1.10/32".parse().unwrap()), Role::Operator));
+    assert_eq!((plc.matched_by, plc.role), (ClientMatch::Address("192.168.1.10/32".parse().unwrap()), Role::Operator));
     assert_eq!(plc.scope, Scope::Only(["left".parse().unwrap()].into()));
 }
 
@@ -37,7 +37,7 @@ fn mapped_address_is_that_of_its_clients() {
             .clients
             .try_into()
             .unwrap();
-        assert_eq!(client.sign, ClientSign::Address(expected.parse().unwrap()));
+        assert_eq!(client.matched_by, ClientMatch::Address(expected.parse().unwrap()));
     }
 }
 
@@ -61,7 +61,10 @@ fn wrong_value_is_named_with_its_line() {
         ),
         ("[[clients]]\nname = \"plc\"\naddress = \"::1\"\nrole = \"boss\"", "gateway.toml:4: unknown variant `boss`"),
         ("[access]\npin_idle_min = 500", "gateway.toml:2: pin_idle_min is 500"),
-        ("[[clients]]\nname = \"plc\"\nrole = \"stop\"", "gateway.toml:2: a client is known by its address or by its certificate"),
+        (
+            "[[clients]]\nname = \"plc\"\nrole = \"stop\"",
+            "gateway.toml:2: a client is known by its address or by its certificate",
+        ),
         (
             "[[clients]]\nname = \"plc\"\ncertificate = \"plc\"\nrole = \"stop\"",
             "gateway.toml:2: a client's certificate",

@@ -36,7 +36,7 @@ pub struct Modbus {
 
 impl Modbus {
     /// Merges the flag with the file. `None` if Modbus is off.
-    pub(super) fn merge(flags: &Flags, file: Option<&File>, is_exposed: bool) -> Result<Option<Self>, ConfigError> {
+    pub(super) fn merge(flags: &Flags, file: Option<&File>, may_be_exposed: bool) -> Result<Option<Self>, ConfigError> {
         let content = file.map(|file| &file.content);
         let in_file = file.and_then(|file| Some((file, file.content.modbus.as_ref()?)));
         let (text, place) = match (&flags.modbus, in_file) {
@@ -53,7 +53,7 @@ impl Modbus {
         let remedy = "leave it out for 1000";
         let heartbeat_ms = bounded(file, "modbus_heartbeat_ms", heartbeat_ms, HEARTBEATS_MS, remedy)?;
         let heartbeat = heartbeat_ms.map_or(DEFAULT_HEARTBEAT, Duration::from_millis);
-        if !address.ip().is_loopback() && allow.is_empty() && !is_exposed {
+        if !address.ip().is_loopback() && allow.is_empty() && !may_be_exposed {
             let detail = format!(
                 "{address} is not a loopback address, and Modbus has no credentials: any client that reaches it can move \
                  the grippers. List the allowed networks in modbus_allow, name the clients in [[clients]] sections, or pass \

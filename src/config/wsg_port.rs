@@ -110,11 +110,12 @@ impl WsgPort {
         addresses && Self { addresses: other.addresses.clone(), ..self.clone() } == *other
     }
 
-    /// Checks that an address other than loopback comes with a list of allowed networks, or `--insecure`.
-    pub(super) fn check(&self, insecure: bool) -> Result<(), ConfigError> {
+    /// Checks that an address other than loopback comes with a list of allowed networks, with clients that are known by
+    /// their addresses, or with `--insecure`.
+    pub(super) fn check(&self, may_be_exposed: bool) -> Result<(), ConfigError> {
         for (address, place) in &self.addresses {
             let (WsgAddress::Tcp(address) | WsgAddress::Udp { address, .. }) = address;
-            if !address.ip().is_loopback() && self.allow.is_empty() && !insecure {
+            if !address.ip().is_loopback() && self.allow.is_empty() && !may_be_exposed {
                 let detail = format!(
                     "{address} is not a loopback address, and the WSG protocol has no credentials: any client that \
                      reaches it can move the gripper. List the allowed networks in wsg_port_allow, name the clients in \

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::access::{AccessRules, Guard, TokenFile, TokenFileError};
 use crate::config::{self, AccessConfig, Config, TlsConfig};
-use crate::interfaces::dashboard::FramePolicy;
+use crate::interfaces::dashboard::DashboardPolicy;
 use crate::interfaces::http::HttpSettings;
 use crate::interfaces::tls::{Tls, TlsFiles};
 
@@ -20,7 +20,7 @@ pub(super) fn of_http(config: &Config, before: Option<Arc<Tls>>) -> anyhow::Resu
     Ok(HttpSettings {
         allowed_hosts: config.hosts.clone(),
         cors_origins: config.cors_origins.clone(),
-        frame_policy: FramePolicy::of(&config.frame_ancestors)?,
+        frame_policy: DashboardPolicy::of(&config.frame_ancestors)?,
         tls: tls.transpose()?,
         idle_time: config.idle_timeout,
     })

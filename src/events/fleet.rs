@@ -15,11 +15,11 @@ const POLL_EVERY: Duration = Duration::from_millis(100);
 #[derive(Debug)]
 pub(super) struct FleetNews {
     network: Arc<Peers>,
-    known: Mutex<Known>,
+    known: Mutex<KnownFleet>,
 }
 
 #[derive(Debug, Default)]
-struct Known {
+struct KnownFleet {
     polled_at: Option<Instant>,
     /// Number of changes so far.
     seq: u64,
@@ -55,7 +55,7 @@ impl FleetNews {
     }
 }
 
-impl Known {
+impl KnownFleet {
     fn take(&mut self, grippers: Vec<FleetGripper>) {
         let mut before = std::mem::take(&mut self.grippers);
         for gripper in grippers {

@@ -20,8 +20,8 @@ pub struct Notification {
 impl Notification {
     /// Serialises a body. Logs a body that cannot be encoded as JSON, and returns `None`.
     pub fn new(method: &'static str, body: &impl Serialize) -> Option<Self> {
-        let json =
-            serde_json::to_string(body).inspect_err(|error| tracing::error!(method, %error, "update cannot be encoded as JSON"));
+        let json = serde_json::to_string(body)
+            .inspect_err(|error| tracing::error!(method, %error, "update cannot be encoded as JSON"));
         Some(Self::of_json(method, &json.ok()?))
     }
 

@@ -67,7 +67,7 @@ const MAX_REPLY_BYTES: usize = 1 << 20;
 
 /// A request to another gateway. Debug output hides what is sent along, which can be secret.
 #[derive(Clone)]
-pub struct Ask {
+pub struct PeerRequest {
     pub gateway: Name,
     /// The gripper; `None` for an operation of the gateway as a whole.
     pub gripper: Option<Name>,
@@ -84,11 +84,11 @@ pub struct Ask {
     pub urgency: Urgency,
 }
 
-impl fmt::Debug for Ask {
+impl fmt::Debug for PeerRequest {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { gateway, gripper, method, .. } = self;
         let gripper = gripper.as_ref().map_or("", Name::as_str);
-        f.debug_struct("Ask").field("to", &format_args!("{gateway}/{gripper}/{method}")).finish_non_exhaustive()
+        f.debug_struct("PeerRequest").field("to", &format_args!("{gateway}/{gripper}/{method}")).finish_non_exhaustive()
     }
 }
 
@@ -102,7 +102,7 @@ fn priority(urgency: Urgency) -> Priority {
 }
 
 /// The answer: a body, or a problem with its status.
-pub type Asked = Result<Box<RawValue>, (u16, Box<RawValue>)>;
+pub type PeerResponse = Result<Box<RawValue>, (u16, Box<RawValue>)>;
 
 /// Reason for a missing answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -122,7 +122,7 @@ impl Peers {
     ///
     /// # Errors
     /// [`NoAnswer`], which says whether anything was sent.
-    pub async fn ask(&self, ask: Ask) -> Result<Asked, NoAnswer> {
+    pub async fn ask(&self, ask: PeerRequest) -> Result<PeerResponse, NoAnswer> {
         match self.others().has_lost(&ask.gateway, ask.gripper.as_ref(), Now::read().instant) {
             None => return Err(NoAnswer::Unknown),
             // A motion must not wait for the gateway to come back. A stop is worth the attempt, and so is a lease.
@@ -169,12 +169,12 @@ impl Peers {
     ///
     /// # Errors
     /// [`NoAnswer`], if the gateway does not answer.
-    pub async fn read(&self, gateway: &Name, what: &'static str, query: String) -> Result<Asked, NoAnswer> {
+    pub async fn read(&self, gateway: &Name, what: &'static str, query: String) -> Result<PeerResponse, NoAnswer> {
         let _place = self.asks.clone().try_acquire_owned().map_err(|_| NoAnswer::TooMany)?;
         self.get(gateway, ZenohKeys::of(gateway).own(what), query, ON_ITS_WAY, Urgency::None).await
     }
 
-    async fn send(&self, ask: Ask) -> Result<Asked, NoAnswer> {
+    async fn send(&self, ask: PeerRequest) -> Result<PeerResponse, NoAnswer> {
         let key = ZenohKeys::of(&ask.gateway).command(ask.gripper.as_ref(), ask.method);
         let subject = ("client", format!("{}/{}", self.gateway, ask.client.subject));
         let wait_ms = ask.wait.map(|wait| ("wait_ms", wait.as_millis().to_string()));
@@ -193,7 +193,7 @@ impl Peers {
         payload: String,
         within: Duration,
         urgency: Urgency,
-    ) -> Result<Asked, NoAnswer> {
+    ) -> Result<PeerResponse, NoAnswer> {
         let session = self.session.get().cloned().ok_or(NoAnswer::Unknown)?;
         // The send can block, so it gets a thread on which nothing else waits.
         let sent = tokio::task::spawn_blocking(move || {
@@ -226,7 +226,7 @@ impl Peers {
 
 /// Uses a lease often enough to keep it, for as long as this is polled. The owning gateway cannot see whether the
 /// client is still connected here. Each use is sent on time, whatever happened to the one before.
-async fn keep_lease<Sent: Future<Output = Result<Asked, NoAnswer>>>(send_use: impl Fn() -> Sent) -> Infallible {
+async fn keep_lease<Sent: Future<Output = Result<PeerResponse, NoAnswer>>>(send_use: impl Fn() -> Sent) -> Infallible {
     #[derive(Deserialize)]
     struct Renewed {
         ttl_ms: u64,
@@ -257,7 +257,7 @@ async fn keep_lease<Sent: Future<Output = Result<Asked, NoAnswer>>>(send_use: im
     }
 }
 
-impl Ask {
+impl PeerRequest {
     /// Returns the request that keeps the named lease. `None` if no lease is named, or if this is a FAST STOP or
     /// manages a lease itself.
     fn renewal(&self) -> Option<Self> {
@@ -280,7 +280,7 @@ impl Ask {
 }
 
 /// Parses a gateway's reply. Returns `None` for Zenoh's own replies, which report a time-out.
-fn parse_reply(reply: &Reply) -> Option<Asked> {
+fn parse_reply(reply: &Reply) -> Option<PeerResponse> {
     #[derive(Deserialize)]
     struct Status {
         status: u16,
@@ -308,7 +308,7 @@ mod tests {
     use super::*;
     use crate::gripper::model::Door;
 
-    type Sent = LocalBoxFuture<'static, Result<Asked, NoAnswer>>;
+    type Sent = LocalBoxFuture<'static, Result<PeerResponse, NoAnswer>>;
 
     fn json_text(answer: &str) -> Box<RawValue> {
         RawValue::from_string(answer.to_owned()).unwrap()
@@ -362,7 +362,7 @@ mod tests {
         let ask = |method: &'static str| {
             let client = Client::new("anna", Door::Http);
             let (gateway, gripper, urgency) = (name("cell-1"), name("left"), urgency(method));
-            let ask = Ask {
+            let ask = PeerRequest {
                 gateway,
                 gripper: Some(gripper),
                 method,

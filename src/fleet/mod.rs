@@ -24,12 +24,12 @@ use zenoh::query::{ConsolidationMode, QueryTarget, Reply};
 use zenoh::sample::{Locality, Sample, SampleKind};
 
 use self::keys::{FAST_STOP_OF_ALL, ROOT, ZenohKeys, last_part};
-use self::others::{Others, Stop};
+use self::others::{Others, PeerStop};
 use self::twins::Twins;
 use crate::gripper::model::{Client, FastStopId, Name, Reason, State};
 use crate::gripper::{Grippers, Now};
 
-pub use ask::{Ask, Asked, EVENTS, GRIPS, NoAnswer, READINESS, TOKEN};
+pub use ask::{EVENTS, GRIPS, NoAnswer, PeerRequest, PeerResponse, READINESS, TOKEN};
 pub use others::{MAX_URL_BYTES, parse_dashboard};
 pub use report::FleetGripper;
 
@@ -46,8 +46,8 @@ const ASKS_EVERY: Duration = Duration::from_millis(25);
 
 /// Interval and duration of repeating a FAST STOP to a gateway that missed it, because it was frozen or its router was
 /// away. After that, somebody could be working there again without knowing of the FAST STOP.
-const INSISTS_EVERY: Duration = Duration::from_millis(250);
-const INSISTS_FOR: Duration = Duration::from_mins(1);
+const REPEATED_EVERY: Duration = Duration::from_millis(250);
+const REPEATED_FOR: Duration = Duration::from_mins(1);
 
 /// Largest accepted state of another gateway, in bytes.
 const MAX_STATE_BYTES: usize = 16 * 1024;
@@ -72,7 +72,7 @@ pub struct Peers {
     stops: Arc<Semaphore>,
     leases: Arc<Semaphore>,
     /// Task that repeats the newest FAST STOP of all gateways to those that missed it.
-    insisting: Mutex<Option<AbortHandle>>,
+    repeating: Mutex<Option<AbortHandle>>,
 }
 
 /// A FAST STOP of all gateways.
@@ -91,8 +91,8 @@ impl Peers {
         let (session, others, news) = (OnceLock::new(), Mutex::default(), Notify::new());
         let [asks, stops, leases] = [MAX_ASKS; 3].map(|places| Arc::new(Semaphore::new(places)));
         let (cause, twins) = (watch::Sender::new(None), Arc::default());
-        let (asked_at, insisting) = (Mutex::default(), Mutex::default());
-        Self { gateway, own, dashboard, session, cause, others, twins, news, asked_at, asks, stops, leases, insisting }
+        let (asked_at, repeating) = (Mutex::default(), Mutex::default());
+        Self { gateway, own, dashboard, session, cause, others, twins, news, asked_at, asks, stops, leases, repeating }
     }
 
     /// Joins the network of this session, until the returned tokens are dropped.
@@ -201,16 +201,16 @@ impl Peers {
         let own = own.into_iter();
         let own = own.map(|(gripper, confirmed)| (format!("{}/{gripper}", self.gateway), confirmed && is_one));
         let others = self.others().stops_since(begun);
-        let is_open = |stop: &Stop| matches!(stop, Stop::Unknown { .. } | Stop::Gone);
+        let is_open = |stop: &PeerStop| matches!(stop, PeerStop::Unknown { .. } | PeerStop::Gone);
         let open: BTreeSet<_> = others.iter().filter(|(_, stop)| is_open(stop)).map(|(name, _)| name.clone()).collect();
         if !open.is_empty() {
-            let insisting = tokio::spawn(self.clone().insist(begun, payload, open));
+            let repeating = tokio::spawn(self.clone().repeat_fast_stop(begun, payload, open));
             // The newest task covers all open grippers.
-            if let Some(before) = self.insisting().replace(insisting.abort_handle()) {
+            if let Some(before) = self.repeating().replace(repeating.abort_handle()) {
                 before.abort();
             }
         }
-        let confirmed = |((gateway, gripper), stop)| (format!("{gateway}/{gripper}"), stop == Stop::Confirmed);
+        let confirmed = |((gateway, gripper), stop)| (format!("{gateway}/{gripper}"), stop == PeerStop::Confirmed);
         FleetStop { id, stops: own.chain(others.into_iter().map(confirmed)).collect() }
     }
 
@@ -220,7 +220,8 @@ impl Peers {
         let confirmed = async {
             loop {
                 let news = self.news.notified();
-                if self.others().stops_since(begun).values().all(|stop| matches!(stop, Stop::Confirmed | Stop::Gone)) {
+                let stops = self.others().stops_since(begun);
+                if stops.values().all(|stop| matches!(stop, PeerStop::Confirmed | PeerStop::Gone)) {
                     return;
                 }
                 self.ask_states();
@@ -234,15 +235,15 @@ impl Peers {
 
     /// Repeats a FAST STOP to gateways that come back without knowing of it, until the gateways of all `open` grippers
     /// do.
-    async fn insist(self: Arc<Self>, begun: Instant, payload: String, mut open: BTreeSet<(Name, Name)>) {
-        let insisted = async {
-            let mut ticks = tokio::time::interval(INSISTS_EVERY);
+    async fn repeat_fast_stop(self: Arc<Self>, begun: Instant, payload: String, mut open: BTreeSet<(Name, Name)>) {
+        let repeated = async {
+            let mut ticks = tokio::time::interval(REPEATED_EVERY);
             while !open.is_empty() {
                 ticks.tick().await;
                 self.ask_states();
                 let stops = self.others().stops_since(begun);
-                open.retain(|name| !matches!(stops.get(name), Some(Stop::Confirmed | Stop::Latched)));
-                let is_missed = |name: &&(Name, Name)| stops.get(name) == Some(&Stop::Unknown { is_missed: true });
+                open.retain(|name| !matches!(stops.get(name), Some(PeerStop::Confirmed | PeerStop::Latched)));
+                let is_missed = |name: &&(Name, Name)| stops.get(name) == Some(&PeerStop::Unknown { is_missed: true });
                 let gateways: BTreeSet<_> = open.iter().filter(is_missed).map(|(gateway, _)| gateway).collect();
                 for gateway in gateways {
                     tracing::warn!(%gateway, "gateway missed a FAST STOP: sending it again");
@@ -250,7 +251,7 @@ impl Peers {
                 }
             }
         };
-        if tokio::time::timeout(INSISTS_FOR, insisted).await.is_err() {
+        if tokio::time::timeout(REPEATED_FOR, repeated).await.is_err() {
             tracing::error!(
                 ?open,
                 "FAST STOP of all gateways not known to have reached these grippers: check them on site"
@@ -305,8 +306,8 @@ impl Peers {
         });
     }
 
-    fn insisting(&self) -> MutexGuard<'_, Option<AbortHandle>> {
-        self.insisting.lock().unwrap_or_else(PoisonError::into_inner)
+    fn repeating(&self) -> MutexGuard<'_, Option<AbortHandle>> {
+        self.repeating.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn of_own(&self, state: &State) -> Option<FleetGripper> {

@@ -38,7 +38,7 @@ const KEPT_FOR: Duration = Duration::from_hours(1);
 
 /// The last report on a gripper, and its time.
 #[derive(Debug)]
-struct Known {
+struct KnownGripper {
     report: PeerReport,
     at: Instant,
     answer: Option<OwnersAnswer>,
@@ -58,7 +58,7 @@ struct OwnersAnswer {
 
 /// Known state of a FAST STOP of one gripper.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Stop {
+pub(super) enum PeerStop {
     /// The gripper's gateway has answered that the device's flags show the FAST STOP.
     Confirmed,
     /// The gripper's gateway has answered that it repeats the FAST STOP until the flags show it.
@@ -75,7 +75,7 @@ pub(super) enum Stop {
 /// Everything known of the other gateways.
 #[derive(Debug, Default)]
 pub(super) struct Others {
-    grippers: BTreeMap<(Name, Name), Known>,
+    grippers: BTreeMap<(Name, Name), KnownGripper>,
     alive: BTreeSet<Name>,
     dashboards: BTreeMap<Name, Url>,
     /// Sessions that declare themselves to be a gateway, with its name. Those with this gateway's name are left out.
@@ -93,13 +93,13 @@ impl Others {
         if let Some(known) = self.grippers.get_mut(&name) {
             (known.report, known.at) = (report, at);
         } else if self.count_of(&name) < MAX_GRIPPERS_OF_ONE {
-            self.grippers.insert(name, Known { report, at, answer: None });
+            self.grippers.insert(name, KnownGripper { report, at, answer: None });
         }
     }
 
     /// Counts the known grippers of the gateway in `name`, which are adjacent in the map.
     fn count_of(&self, name: &(Name, Name)) -> usize {
-        let is_same = |known: &(&(Name, Name), &Known)| known.0.0 == name.0;
+        let is_same = |known: &(&(Name, Name), &KnownGripper)| known.0.0 == name.0;
         let before = self.grippers.range(..name).rev().take_while(is_same).count();
         before + self.grippers.range(name..).take_while(is_same).count()
     }
@@ -175,7 +175,7 @@ impl Others {
     }
 
     pub(super) fn grippers(&self, now: Instant) -> Vec<FleetGripper> {
-        let listed = |((gateway, gripper), known): (&(Name, Name), &Known)| {
+        let listed = |((gateway, gripper), known): (&(Name, Name), &KnownGripper)| {
             let since = now.saturating_duration_since(known.at);
             let gone = self.is_gone(gateway, known, now);
             let dashboard = self.dashboards.get(gateway);
@@ -198,23 +198,23 @@ impl Others {
     }
 
     /// State of each gripper's FAST STOP since `begun`. Grippers of gone gateways are included: they could still move.
-    pub(super) fn stops_since(&self, begun: Instant) -> BTreeMap<(Name, Name), Stop> {
+    pub(super) fn stops_since(&self, begun: Instant) -> BTreeMap<(Name, Name), PeerStop> {
         let now = Now::read().instant;
         let known = self.grippers.iter().filter(|(_, known)| now.saturating_duration_since(known.at) < KEPT_FOR);
-        let stop = |(name, known): (&(Name, Name), &Known)| {
+        let stop = |(name, known): (&(Name, Name), &KnownGripper)| {
             let stop = match known.answer.filter(|answer| answer.asked_at >= begun) {
-                Some(answer) if answer.is_owners && answer.is_stopped => Stop::Confirmed,
-                Some(answer) if answer.is_owners && answer.is_latched => Stop::Latched,
-                Some(answer) if !answer.is_latched => Stop::Unknown { is_missed: true },
-                _ if self.is_gone(&name.0, known, now) => Stop::Gone,
-                _ => Stop::Unknown { is_missed: false },
+                Some(answer) if answer.is_owners && answer.is_stopped => PeerStop::Confirmed,
+                Some(answer) if answer.is_owners && answer.is_latched => PeerStop::Latched,
+                Some(answer) if !answer.is_latched => PeerStop::Unknown { is_missed: true },
+                _ if self.is_gone(&name.0, known, now) => PeerStop::Gone,
+                _ => PeerStop::Unknown { is_missed: false },
             };
             (name.clone(), stop)
         };
         known.map(stop).collect()
     }
 
-    fn is_gone(&self, gateway: &Name, known: &Known, now: Instant) -> bool {
+    fn is_gone(&self, gateway: &Name, known: &KnownGripper, now: Instant) -> bool {
         !self.alive.contains(gateway) || now.saturating_duration_since(known.at) >= GONE_AFTER
     }
 
@@ -284,26 +284,26 @@ mod tests {
         let begun = Instant::now();
         let later = |ms| begun + Duration::from_millis(ms);
         let stop = |others: &Others| others.stops_since(begun)[&left];
-        assert_eq!(stop(&others), Stop::Unknown { is_missed: false }, "anyone can publish a state");
+        assert_eq!(stop(&others), PeerStop::Unknown { is_missed: false }, "anyone can publish a state");
         others.take_answer(&left, &report(true), "1", begun.checked_sub(Duration::from_millis(1)).unwrap());
-        assert_eq!(stop(&others), Stop::Unknown { is_missed: false }, "the query was sent before");
+        assert_eq!(stop(&others), PeerStop::Unknown { is_missed: false }, "the query was sent before");
         others.take_answer(&left, &report(true), "2", later(1));
-        assert_eq!(stop(&others), Stop::Unknown { is_missed: false }, "another session answers");
+        assert_eq!(stop(&others), PeerStop::Unknown { is_missed: false }, "another session answers");
         others.take_answer(&left, &report(false), "1", later(2));
-        assert_eq!(stop(&others), Stop::Unknown { is_missed: true });
+        assert_eq!(stop(&others), PeerStop::Unknown { is_missed: true });
         others.take_answer(&left, &report(true), "1", later(3));
-        assert_eq!(stop(&others), Stop::Confirmed);
+        assert_eq!(stop(&others), PeerStop::Confirmed);
         others.take_answer(&left, &report(false), "1", later(2));
-        assert_eq!(stop(&others), Stop::Confirmed, "an answer to an older question");
+        assert_eq!(stop(&others), PeerStop::Confirmed, "an answer to an older question");
         others.take_answer(&left, &report(true), "2", later(3));
-        assert_eq!(stop(&others), Stop::Unknown { is_missed: false }, "two answer the same question");
+        assert_eq!(stop(&others), PeerStop::Unknown { is_missed: false }, "two answer the same question");
         others.take_instance(name("cell-1"), "2", true);
         others.take_answer(&left, &report(true), "1", later(4));
-        assert_eq!(stop(&others), Stop::Unknown { is_missed: false }, "two sessions are known as the gateway");
+        assert_eq!(stop(&others), PeerStop::Unknown { is_missed: false }, "two sessions are known as the gateway");
         others.take_instance(name("cell-1"), "2", false);
         others.take_answer(&left, &report(true), "1", later(5));
         others.take_token(name("cell-1"), false);
-        assert_eq!(stop(&others), Stop::Confirmed);
+        assert_eq!(stop(&others), PeerStop::Confirmed);
     }
 
     #[test]

@@ -34,22 +34,22 @@ pub const FAST_STOP_WAIT: Duration = Duration::from_millis(250);
 #[derive(Debug)]
 #[allow(missing_docs, reason = "documented at the handle's methods")]
 pub enum ActorRequest {
-    Submit { submission: Submission, id: CommandId, answer: Answer<Ticket> },
+    Submit { submission: Submission, id: CommandId, answer: ResultSender<Ticket> },
     Find { id: CommandId, answer: oneshot::Sender<Option<Ticket>> },
     FindRequest { subject: Arc<str>, request_id: RequestId, answer: oneshot::Sender<Option<Ticket>> },
     Cancel { id: CommandId, client: Client, answer: oneshot::Sender<Option<Ticket>> },
     Exchange { command: wsg::Command, client: Client, lease: Option<LeaseToken>, answer: Steps },
-    Acknowledge { id: FastStopId, client: Client, answer: Answer<()> },
-    AcknowledgeFault { client: Client, lease: Option<LeaseToken>, answer: Answer<()> },
+    Acknowledge { id: FastStopId, client: Client, answer: ResultSender<()> },
+    AcknowledgeFault { client: Client, lease: Option<LeaseToken>, answer: ResultSender<()> },
     Lease { answer: oneshot::Sender<Lease> },
-    TakeLease { take: TakeLease, token: LeaseToken, answer: Answer<AcquiredLease> },
+    TakeLease { take: TakeLease, token: LeaseToken, answer: ResultSender<AcquiredLease> },
     UseLease { token: LeaseToken, answer: oneshot::Sender<Option<LeaseKeepAlive>> },
-    RenewLease { token: Option<LeaseToken>, answer: Answer<Lease> },
-    HandOver { token: Option<LeaseToken>, to: String, new: LeaseToken, answer: Answer<Lease> },
+    RenewLease { token: Option<LeaseToken>, answer: ResultSender<Lease> },
+    HandOver { token: Option<LeaseToken>, to: String, new: LeaseToken, answer: ResultSender<Lease> },
     ReleaseLease { token: Option<LeaseToken>, answer: oneshot::Sender<Lease> },
     LoseLease { token: LeaseToken, times_taken: Option<u64>, cause: LossCause },
-    Disconnect { client: Client, lease: Option<LeaseToken>, answer: Answer<()> },
-    Connect { client: Client, lease: Option<LeaseToken>, answer: Answer<()> },
+    Disconnect { client: Client, lease: Option<LeaseToken>, answer: ResultSender<()> },
+    Connect { client: Client, lease: Option<LeaseToken>, answer: ResultSender<()> },
     Drain { answer: oneshot::Sender<()> },
     Reconfigure { change: Box<Reconfiguration>, answer: oneshot::Sender<()> },
 }
@@ -68,11 +68,11 @@ impl fmt::Debug for Reconfiguration {
 }
 
 /// Channel for a reply or a rejection.
-pub type Answer<T> = oneshot::Sender<Result<T, Rejection>>;
+pub type ResultSender<T> = oneshot::Sender<Result<T, Rejection>>;
 
 /// Optional channel to signal that the device has accepted a request (`E_CMD_PENDING`), and channel for the data of the
 /// last reply.
-pub type Steps = (Option<oneshot::Sender<()>>, Answer<wsg::Data>);
+pub type Steps = (Option<oneshot::Sender<()>>, ResultSender<wsg::Data>);
 
 /// A requested FAST STOP, on its way to the actor.
 #[derive(Debug)]

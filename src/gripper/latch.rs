@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use super::Now;
 use super::error::{Conflict, Invalid, Rejection};
-use super::handle::{Answer, FastStopRequest};
+use super::handle::{FastStopRequest, ResultSender};
 use super::model::{Client, Door, FastStopCause, FastStopId, IdSource, Latch, Reason};
 use crate::wsg::SystemState;
 use crate::wsg::session::Token;
@@ -55,7 +55,7 @@ pub(super) struct LatchState {
     /// Flags of [`STANDING`] that were set most recently, with the time.
     newest_flags: Option<(Instant, SystemState)>,
     /// Ended acknowledgements whose clients have not been answered yet.
-    untold: Vec<EndedAcknowledge>,
+    unanswered: Vec<EndedAcknowledge>,
 }
 
 /// An acknowledgement that has ended.
@@ -64,7 +64,7 @@ pub(super) struct EndedAcknowledge {
     /// `None` for a fault of the device without a latch.
     pub id: Option<FastStopId>,
     pub client: Client,
-    pub answer: Answer<()>,
+    pub answer: ResultSender<()>,
     pub result: Result<(), Rejection>,
 }
 
@@ -72,7 +72,7 @@ pub(super) struct EndedAcknowledge {
 struct Acknowledging {
     id: Option<FastStopId>,
     client: Client,
-    answer: Answer<()>,
+    answer: ResultSender<()>,
     progress: Progress,
 }
 
@@ -175,7 +175,7 @@ impl LatchState {
             Some(given) => Conflict::StaleFastStop { given, current: Some(current) },
             None => Conflict::FastStop { id: current },
         };
-        self.untold.push(EndedAcknowledge { id, client, answer, result: Err(conflict.into()) });
+        self.unanswered.push(EndedAcknowledge { id, client, answer, result: Err(conflict.into()) });
         match progress {
             Progress::Checking(token) | Progress::Sent(token) => Some(token),
             Progress::Watching { .. } => None,
@@ -280,7 +280,7 @@ impl LatchState {
         id: Option<FastStopId>,
         client: Client,
         token: Token,
-        answer: Answer<()>,
+        answer: ResultSender<()>,
     ) {
         let progress = if id.is_some() { Progress::Sent(token) } else { Progress::Checking(token) };
         self.acknowledging = Some(Acknowledging { id, client, answer, progress });
@@ -353,13 +353,13 @@ impl LatchState {
 
     fn finish_acknowledge(&mut self, result: Result<(), Rejection>) {
         if let Some(Acknowledging { id, client, answer, .. }) = self.acknowledging.take() {
-            self.untold.push(EndedAcknowledge { id, client, answer, result });
+            self.unanswered.push(EndedAcknowledge { id, client, answer, result });
         }
     }
 
     /// Takes the ended acknowledgements, to answer their clients after the state was published.
     pub(super) fn take_acknowledged(&mut self) -> Vec<EndedAcknowledge> {
-        std::mem::take(&mut self.untold)
+        std::mem::take(&mut self.unanswered)
     }
 }
 

@@ -123,8 +123,7 @@ impl HeldLease {
     }
 
     /// Whether this request comes from the holder, which has lost its token. Only a named holder over HTTP is
-    /// recognised, and only once it has not used the lease for half of its time to live: until then, it counts as still
-    /// there.
+    /// recognised, and only after it has not used the lease for half of its time to live.
     fn is_left_by(&self, now: Instant, wish: &TakeLease) -> bool {
         let is_silent = !self.is_open() && self.expires_in(now) <= self.terms.ttl / 2;
         is_silent && wish.holder.is_some() && wish.client.door == Door::Http && self.holder.is(&Holder::of(wish))
@@ -164,8 +163,7 @@ pub(super) struct LeaseState {
     held: Option<HeldLease>,
     /// Clients that request the lease, in the order of their first requests.
     asking: Vec<Asking>,
-    /// Holder that was lost while a part was held or a motion continued. Without `force`, only this client can take the
-    /// lease.
+    /// Holder that was lost while a part was held or a motion continued. Others need `force` to take the lease.
     reserved: Option<Holder>,
     /// Notified when a request of the holder ends.
     closed: Arc<Notify>,

@@ -34,7 +34,7 @@ pub(super) struct SlotBounds {
 #[derive(Debug, Default)]
 pub(super) struct RequestIds {
     bounds: SlotBounds,
-    ids: HashMap<Key, Bound>,
+    ids: HashMap<Key, BoundRequest>,
     /// All ids, oldest first.
     by_age: BTreeMap<u64, Key>,
     /// Ids of each subject, oldest first, and their slots.
@@ -53,7 +53,7 @@ struct Subject {
 
 /// The request behind an id, and its command.
 #[derive(Debug)]
-struct Bound {
+struct BoundRequest {
     /// Outlives the command's entry in the registry.
     ticket: Ticket,
     asked: (Kind, Parameters),
@@ -101,7 +101,7 @@ impl RequestIds {
         self.by_age.insert(number, key.clone());
         self.subjects.entry(key.0.clone()).or_default().numbers.insert(number);
         self.count(&key.0, |count| count + slots);
-        self.ids.insert(key, Bound { ticket, asked, since, number, slots });
+        self.ids.insert(key, BoundRequest { ticket, asked, since, number, slots });
     }
 
     /// Updates the slots after a command's end: a refused command frees its id, and a script's reply takes slots.

@@ -21,7 +21,7 @@ pub enum StreamItem {
     /// Events of any gripper that retention has removed.
     Removed {
         /// Sequence number of the last event before them.
-        behind: i64,
+        after: i64,
         /// Number of removed events, at least 1.
         missed: i64,
     },
@@ -90,7 +90,7 @@ impl EventStream {
 
     async fn catch_up(&mut self) -> Result<(), ReadError> {
         let (after, until) = (self.after, self.until);
-        let (filter, cursor) = (self.filter.clone(), Some(Cursor::behind(after)));
+        let (filter, cursor) = (self.filter.clone(), Some(Cursor::after(after)));
         let query = EventQuery {
             filter,
             cursor,
@@ -108,7 +108,7 @@ impl EventStream {
         };
         // Events removed beyond `until` show at the next read.
         let missed = first.map_or(until, |first| until.min(first - 1)) - after;
-        self.read.extend((missed > 0).then_some(StreamItem::Removed { behind: after, missed }));
+        self.read.extend((missed > 0).then_some(StreamItem::Removed { after, missed }));
         self.read.extend(read.into_iter().map(StreamItem::Event));
         Ok(())
     }

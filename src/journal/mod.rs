@@ -252,15 +252,15 @@ impl Recorder for Journal {
                 // While the disk fails, the waiter is dropped at once: a retry could take too long.
                 Record::Event(event, waiter.filter(|_| !self.shared.failing()))
             }
-            Record::Persisted(memory) => return self.remember(memory),
+            Record::Persisted(value) => return self.persist(value),
             record @ Record::Grip(_) => record,
         };
-        let has_place = self.shared.waits(places(&record, QUEUE));
+        let has_place = self.shared.reserve_place(places(&record, QUEUE));
         if has_place && self.writing.inputs.try_send(WriterInput::Record(Box::new(record))).is_ok() {
             return;
         }
         if has_place {
-            self.shared.waits_no_more();
+            self.shared.release_place();
         }
         self.shared.lose();
     }
@@ -272,10 +272,10 @@ impl Recorder for Journal {
 
 impl Journal {
     /// Stores a value however long the queue is, because it replaces the value before.
-    fn remember(&self, memory: PersistedState) {
-        self.shared.remember(memory);
+    fn persist(&self, value: PersistedState) {
+        self.shared.persist(value);
         // With a full queue the thread is awake anyway, and takes the value with its next batch.
-        if let Err(TrySendError::Disconnected(_)) = self.writing.inputs.try_send(WriterInput::Memories) {
+        if let Err(TrySendError::Disconnected(_)) = self.writing.inputs.try_send(WriterInput::PersistedValues) {
             self.shared.lose();
         }
     }

@@ -120,7 +120,7 @@ pub struct Cursor(i64);
 impl Cursor {
     /// Begins after the record with this sequence number.
     #[must_use]
-    pub fn behind(seq: i64) -> Self {
+    pub fn after(seq: i64) -> Self {
         Self(seq)
     }
 }

@@ -105,16 +105,16 @@ fn memory(connection: &Connection) -> rusqlite::Result<Vec<PersistedState>> {
     let mut statement =
         connection.prepare("SELECT gripper, key, value, hash FROM memory WHERE gripper <> ? ORDER BY gripper, key")?;
     let mut rows = statement.query([NO_GRIPPER])?;
-    let mut memories = Vec::new();
+    let mut persisted = Vec::new();
     while let Some(row) = rows.next()? {
         let (gripper, key, value): (String, String, String) = (row.get(0)?, row.get(1)?, row.get(2)?);
         let intact = row.get_ref(3)?.as_blob().is_ok_and(|hash| hash == memory_hash(&gripper, &key, &value));
         match (gripper.parse(), serde_json::from_value(key.clone().into())) {
-            (Ok(gripper), Ok(key)) if intact => memories.push(PersistedState { gripper, key, value: Some(value) }),
+            (Ok(gripper), Ok(key)) if intact => persisted.push(PersistedState { gripper, key, value: Some(value) }),
             _ => tracing::warn!(gripper, key, value, "damaged persisted value in the journal skipped"),
         }
     }
-    Ok(memories)
+    Ok(persisted)
 }
 
 fn requests(connection: &Connection, since: Timestamp) -> rusqlite::Result<Vec<PastRequest>> {

@@ -9,7 +9,7 @@ use tokio::sync::{broadcast, watch};
 use super::rates::Rates;
 use super::row::{GripUpdate, Stored};
 use super::source::JournalLocation;
-use super::store::Memories;
+use super::store::PersistedValues;
 use crate::gripper::model::PersistedState;
 use crate::gripper::recorder::JournalHealth;
 
@@ -50,7 +50,7 @@ pub(super) struct Shared {
     /// Number of records that wait for the writing thread.
     waiting: AtomicUsize,
     /// Newest persisted values that wait for the writing thread: at most as many as the grippers have.
-    memories: Mutex<Memories>,
+    persisted: Mutex<PersistedValues>,
     work: Mutex<Work>,
     /// Notified of each change of `work`.
     work_changed: Condvar,
@@ -62,11 +62,11 @@ impl Shared {
         let (events, grips) = (broadcast::Sender::new(BROADCAST), broadcast::Sender::new(GRIPS_BROADCAST));
         let (health, committed) = (watch::Sender::default(), AtomicI64::new(committed));
         let (work, work_changed) = (Mutex::new(Work::Idle), Condvar::new());
-        let (waiting, memories) = (AtomicUsize::new(0), Mutex::default());
+        let (waiting, persisted) = (AtomicUsize::new(0), Mutex::default());
         let rates = Rates::default();
         let weak = (events.downgrade(), grips.downgrade());
         let shared =
-            Self { health, rates, events: weak.0, grips: weak.1, committed, waiting, memories, work, work_changed };
+            Self { health, rates, events: weak.0, grips: weak.1, committed, waiting, persisted, work, work_changed };
         (shared, Senders { events, grips })
     }
 
@@ -109,26 +109,26 @@ impl Shared {
     }
 
     /// Counts one more waiting record; returns false if `places` records wait already.
-    pub(super) fn waits(&self, places: usize) -> bool {
+    pub(super) fn reserve_place(&self, places: usize) -> bool {
         let one_more = |waiting| (waiting < places).then_some(waiting + 1);
         self.waiting.fetch_update(Ordering::AcqRel, Ordering::Acquire, one_more).is_ok()
     }
 
-    pub(super) fn waits_no_more(&self) {
+    pub(super) fn release_place(&self) {
         self.waiting.fetch_sub(1, Ordering::AcqRel);
     }
 
-    pub(super) fn remember(&self, memory: PersistedState) {
-        self.memories().insert((memory.gripper, memory.key), memory.value);
+    pub(super) fn persist(&self, value: PersistedState) {
+        self.persisted().insert((value.gripper, value.key), value.value);
     }
 
     /// Takes the persisted values that wait for the writing thread.
-    pub(super) fn take_memories(&self) -> Memories {
-        std::mem::take(&mut *self.memories())
+    pub(super) fn take_persisted(&self) -> PersistedValues {
+        std::mem::take(&mut *self.persisted())
     }
 
-    fn memories(&self) -> MutexGuard<'_, Memories> {
-        self.memories.lock().unwrap_or_else(PoisonError::into_inner)
+    fn persisted(&self) -> MutexGuard<'_, PersistedValues> {
+        self.persisted.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Runs a write under the watch that reports slow ones.

@@ -27,7 +27,7 @@ const EMPTY_LOG_WITHIN: Duration = Duration::from_millis(100);
 const MAX_LINKS: usize = 40;
 
 /// Newest persisted values by gripper and key; `None` deletes one.
-pub(super) type Memories = BTreeMap<(Name, PersistedKey), Option<String>>;
+pub(super) type PersistedValues = BTreeMap<(Name, PersistedKey), Option<String>>;
 
 /// Error of a journal that cannot be opened.
 #[derive(Debug, thiserror::Error)]
@@ -154,13 +154,13 @@ impl Store {
     }
 
     /// Makes records and persisted values durable, all or none.
-    pub(super) fn commit(&mut self, rows: &[Row], memories: &Memories) -> rusqlite::Result<()> {
+    pub(super) fn commit(&mut self, rows: &[Row], persisted: &PersistedValues) -> rusqlite::Result<()> {
         let transaction = self.begin()?;
         for row in rows {
             insert(&transaction, row)?;
         }
-        for ((gripper, key), value) in memories {
-            remember(&transaction, gripper.as_str(), &word(key), value.as_deref())?;
+        for ((gripper, key), value) in persisted {
+            persist(&transaction, gripper.as_str(), &word(key), value.as_deref())?;
         }
         transaction.commit()
     }
@@ -214,7 +214,7 @@ pub(super) fn insert(connection: &Connection, row: &Row) -> rusqlite::Result<()>
     Ok(())
 }
 
-fn remember(connection: &Connection, gripper: &str, key: &str, value: Option<&str>) -> rusqlite::Result<()> {
+fn persist(connection: &Connection, gripper: &str, key: &str, value: Option<&str>) -> rusqlite::Result<()> {
     let Some(value) = value else {
         let sql = "DELETE FROM memory WHERE gripper = ? AND key = ?";
         return connection.prepare_cached(sql)?.execute([gripper, key]).map(drop);

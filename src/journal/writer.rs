@@ -14,7 +14,7 @@ use super::prune::Pruning;
 use super::query::grip;
 use super::row::{GripUpdate, Row, Stored, now};
 use super::shared::{Senders, Shared};
-use super::store::{Memories, Store};
+use super::store::{PersistedValues, Store};
 use super::{Retention, places};
 use crate::gripper::model::{CommandId, Detail, Event, GatewayEvent, GripRecord};
 use crate::gripper::recorder::Record;
@@ -39,7 +39,7 @@ const CLOSE_WITHIN: Duration = Duration::from_secs(3);
 pub(super) enum WriterInput {
     Record(Box<Record>),
     /// Persisted values wait in [`Shared`].
-    Memories,
+    PersistedValues,
     /// The end of writing: orderly, or as if the process were killed after its last record.
     End {
         orderly: bool,
@@ -74,13 +74,13 @@ impl Placed {
 #[derive(Debug, Default)]
 struct Batch {
     records: Vec<Placed>,
-    memories: Memories,
+    persisted: PersistedValues,
     waiters: Vec<oneshot::Sender<()>>,
 }
 
 impl Batch {
     fn is_empty(&self) -> bool {
-        self.records.is_empty() && self.memories.is_empty()
+        self.records.is_empty() && self.persisted.is_empty()
     }
 }
 
@@ -149,10 +149,10 @@ impl JournalWriter {
             while let Some(next) = input {
                 match next {
                     WriterInput::Record(record) => {
-                        self.shared.waits_no_more();
+                        self.shared.release_place();
                         self.take(*record);
                     }
-                    WriterInput::Memories => {}
+                    WriterInput::PersistedValues => {}
                     WriterInput::End { orderly } => return self.end(orderly),
                     #[cfg(test)]
                     WriterInput::MaxPages(pages) => self.store.limit_pages(pages),
@@ -181,7 +181,7 @@ impl JournalWriter {
                 self.batch.waiters.extend(waiter.filter(|_| self.retry_at.is_none()));
             }
             Record::Grip(grip) => self.batch.records.push(Placed::Grip(grip)),
-            Record::Persisted(memory) => self.shared.remember(memory),
+            Record::Persisted(value) => self.shared.persist(value),
         }
     }
 
@@ -206,7 +206,7 @@ impl JournalWriter {
                 false
             }
         });
-        self.shared.while_watched(|| self.store.commit(&rows, &self.batch.memories))?;
+        self.shared.while_watched(|| self.store.commit(&rows, &self.batch.persisted))?;
         self.ends = Some(ends);
         Ok(rows)
     }
@@ -225,7 +225,7 @@ impl JournalWriter {
             self.record_lost();
             self.take_aggregates(now, false);
         }
-        self.batch.memories.extend(self.shared.take_memories());
+        self.batch.persisted.extend(self.shared.take_persisted());
         if self.batch.is_empty() {
             if self.retry_at.take().is_some() {
                 tracing::info!("journal recovered");

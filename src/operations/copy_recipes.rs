@@ -15,7 +15,7 @@ use super::problem::Problem;
 use super::recipes::{MAX_RECIPES, SET_SEVERAL};
 use super::reply::Json;
 use super::values::{TextOrNumber, gripper_or_gateway, part_id};
-use crate::fleet::{Ask, NoAnswer};
+use crate::fleet::{NoAnswer, PeerRequest};
 use crate::gripper::model::{Code, Name, Recipe, Urgency};
 
 pub const COPY: Operation =
@@ -52,7 +52,7 @@ async fn copy(call: Call) -> Result<Json<RecipesCopied>, Problem> {
     }
     let recipes = chosen(&call, part_ids)?;
     let copied = recipes.iter().map(|recipe| recipe.part_id.as_str().to_owned()).collect();
-    let ask = Ask {
+    let ask = PeerRequest {
         gateway: to.clone(),
         gripper: None,
         method: SET_SEVERAL.name,

@@ -16,7 +16,7 @@ use super::operation::{Operation, ready, reply};
 use super::problem::{Members, Problem};
 use super::reply::Json;
 use crate::access::Right;
-use crate::fleet::{Ask, FleetGripper, FleetStop, NoAnswer};
+use crate::fleet::{FleetGripper, FleetStop, NoAnswer, PeerRequest};
 use crate::gripper::model::{Code, FastStopId, Name, Urgency};
 
 pub const LIST: Operation = Operation::read("fleet", "/fleet", |call| ready(list(&call)));
@@ -151,7 +151,7 @@ async fn acknowledge_one(call: &Call, gateway: &str, gripper: &str, id: FastStop
         let handle = call.gateway.grippers.get(&gripper).ok_or_else(unknown)?;
         return handle.acknowledge(id, client).await.map_err(|rejection| raw(rejection.into()));
     }
-    let ask = Ask {
+    let ask = PeerRequest {
         gateway: gateway.clone(),
         gripper: Some(gripper),
         method: ACKNOWLEDGE_ONE.name,

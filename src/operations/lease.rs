@@ -31,9 +31,9 @@ pub const HAND_OVER: Operation =
         reply(hand_over(call))
     });
 
-type Answer = Result<Json<Lease>, Problem>;
+type LeaseResult = Result<Json<Lease>, Problem>;
 
-async fn get(call: Call) -> Answer {
+async fn get(call: Call) -> LeaseResult {
     let (gripper, NoFields {}) = call.gripper_and_fields()?;
     Ok(Json(gripper.with_lease(None)?.handle.lease().await?))
 }
@@ -103,12 +103,12 @@ async fn take(call: Call) -> Result<OperationReply, Problem> {
     OperationReply::new(&lease, leased.map_or(Effect::None, |lease| Effect::Leased(Arc::new(lease))))
 }
 
-async fn renew(call: Call) -> Answer {
+async fn renew(call: Call) -> LeaseResult {
     let gripper = call.leased()?;
     Ok(Json(gripper.handle.renew_lease(gripper.token()).await?))
 }
 
-async fn release(call: Call) -> Answer {
+async fn release(call: Call) -> LeaseResult {
     let gripper = call.leased()?;
     Ok(Json(gripper.handle.release_lease(gripper.token()).await?))
 }
@@ -126,7 +126,7 @@ pub struct HandOver {
     lease: Option<String>,
 }
 
-async fn hand_over(call: Call) -> Answer {
+async fn hand_over(call: Call) -> LeaseResult {
     let (gripper, body): (_, HandOver) = call.gripper_and_fields()?;
     let gripper = gripper.with_lease(body.lease.as_deref())?;
     let to = text::<64>("to", &body.to)?;

@@ -55,7 +55,7 @@ pub(crate) use caller::{Caller, DEFAULT_WAIT_MS, MAX_LEASE_BYTES, Presence, Wait
 pub(crate) use connection_lease::ConnectionLease;
 pub use gateway::Gateway;
 pub use operation::Operation;
-pub(crate) use operation::subject;
+pub(crate) use operation::journal_command;
 pub(crate) use problem::{Members, Problem};
 pub(crate) use query_string::QueryString;
 pub use reload_requests::{ReloadRequest, Reloads};

@@ -121,16 +121,16 @@ impl Operation {
         self.path.split('/').filter_map(|part| part.strip_prefix('{')?.strip_suffix('}'))
     }
 
-    /// The subject of the operation in the journal: the last fixed part of its path.
+    /// The operation's `command` in the journal: the last fixed part of its path.
     #[must_use]
-    pub fn subject(&self) -> &'static str {
-        subject(self.path)
+    pub fn journal_command(&self) -> &'static str {
+        journal_command(self.path)
     }
 }
 
 /// The last fixed part of a path's template.
 #[must_use]
-pub fn subject(template: &str) -> &str {
+pub fn journal_command(template: &str) -> &str {
     template.rsplit('/').find(|part| !part.starts_with('{')).unwrap_or_default()
 }
 

@@ -67,8 +67,12 @@ pub async fn run(
         && (operation.changes_something() || problem.code() == Code::Unauthorized)
         && !problem.is_recorded()
     {
-        let request =
-            RefusedRequest { gripper, client, command: operation.subject().to_owned(), code: problem.code_word() };
+        let request = RefusedRequest {
+            gripper,
+            client,
+            command: operation.journal_command().to_owned(),
+            code: problem.code_word(),
+        };
         problem.mark_recorded();
         gateway.audit.record(request, problem.detail(), operation.urgency).await;
     }

@@ -43,7 +43,7 @@ pub const GET_TAG: Operation = Operation::read("settings.device-tag", DEVICE_TAG
 pub const SET_TAG: Operation =
     Operation::change("settings.device-tag.set", &Verb::PUT, DEVICE_TAG, |call| reply(set_tag(call)));
 
-type Answer<T> = Result<Json<T>, Problem>;
+type SettingResult<T> = Result<Json<T>, Problem>;
 
 /// Turns `E_NOT_AVAILABLE` into `None`: the device has no value set.
 fn none_if_not_available<T>(optional: Result<Option<T>, Rejection>) -> Result<Option<T>, Rejection> {
@@ -78,17 +78,17 @@ pub struct AccelerationSetting {
     lease: Option<String>,
 }
 
-async fn exchange_acceleration(gripper: Gripper, command: wsg::Command) -> Answer<AccelerationAnswer> {
+async fn exchange_acceleration(gripper: Gripper, command: wsg::Command) -> SettingResult<AccelerationAnswer> {
     let value = ask(&gripper, command, only!(Data::Acceleration)).await?;
     Ok(Json(AccelerationAnswer { gripper: gripper.name(), acceleration_mm_s2: value.mm_s2() }))
 }
 
-async fn get_acceleration(call: Call) -> Answer<AccelerationAnswer> {
+async fn get_acceleration(call: Call) -> SettingResult<AccelerationAnswer> {
     let (gripper, NoFields {}) = call.gripper_and_fields()?;
     exchange_acceleration(gripper, wsg::Command::GetAcceleration).await
 }
 
-async fn set_acceleration(call: Call) -> Answer<AccelerationAnswer> {
+async fn set_acceleration(call: Call) -> SettingResult<AccelerationAnswer> {
     let (gripper, body): (_, AccelerationSetting) = call.gripper_and_fields()?;
     let gripper = gripper.with_lease(body.lease.as_deref())?;
     let acceleration = acceleration("acceleration_mm_s2", body.acceleration_mm_s2)?;
@@ -120,17 +120,17 @@ pub struct ForceLimitSetting {
     lease: Option<String>,
 }
 
-async fn exchange_force_limit(gripper: Gripper, command: wsg::Command) -> Answer<ForceLimitAnswer> {
+async fn exchange_force_limit(gripper: Gripper, command: wsg::Command) -> SettingResult<ForceLimitAnswer> {
     let value = ask(&gripper, command, only!(Data::ForceLimit)).await?;
     Ok(Json(ForceLimitAnswer { gripper: gripper.name(), force_n: value.n() }))
 }
 
-async fn get_force_limit(call: Call) -> Answer<ForceLimitAnswer> {
+async fn get_force_limit(call: Call) -> SettingResult<ForceLimitAnswer> {
     let (gripper, NoFields {}) = call.gripper_and_fields()?;
     exchange_force_limit(gripper, wsg::Command::GetForceLimit).await
 }
 
-async fn set_force_limit(call: Call) -> Answer<ForceLimitAnswer> {
+async fn set_force_limit(call: Call) -> SettingResult<ForceLimitAnswer> {
     let (gripper, body): (_, ForceLimitSetting) = call.gripper_and_fields()?;
     let gripper = gripper.with_lease(body.lease.as_deref())?;
     exchange_force_limit(gripper, wsg::Command::SetForceLimit(force("force_n", body.force_n)?)).await
@@ -167,7 +167,7 @@ pub struct SoftLimitsSetting {
     lease: Option<String>,
 }
 
-async fn exchange_soft_limits(gripper: Gripper, command: wsg::Command) -> Answer<SoftLimitsAnswer> {
+async fn exchange_soft_limits(gripper: Gripper, command: wsg::Command) -> SettingResult<SoftLimitsAnswer> {
     let take = |data| match data {
         Data::SoftLimits(value) => Some(Some(value)),
         Data::None => Some(None),
@@ -181,12 +181,12 @@ async fn exchange_soft_limits(gripper: Gripper, command: wsg::Command) -> Answer
     }))
 }
 
-async fn get_soft_limits(call: Call) -> Answer<SoftLimitsAnswer> {
+async fn get_soft_limits(call: Call) -> SettingResult<SoftLimitsAnswer> {
     let (gripper, NoFields {}) = call.gripper_and_fields()?;
     exchange_soft_limits(gripper, wsg::Command::GetSoftLimits).await
 }
 
-async fn set_soft_limits(call: Call) -> Answer<SoftLimitsAnswer> {
+async fn set_soft_limits(call: Call) -> SettingResult<SoftLimitsAnswer> {
     let (gripper, body): (_, SoftLimitsSetting) = call.gripper_and_fields()?;
     let gripper = gripper.with_lease(body.lease.as_deref())?;
     let (minus, plus) = (width("minus_mm", body.minus_mm)?, width("plus_mm", body.plus_mm)?);
@@ -195,7 +195,7 @@ async fn set_soft_limits(call: Call) -> Answer<SoftLimitsAnswer> {
     exchange_soft_limits(gripper, wsg::Command::SetSoftLimits(limits)).await
 }
 
-async fn clear_soft_limits(call: Call) -> Answer<SoftLimitsAnswer> {
+async fn clear_soft_limits(call: Call) -> SettingResult<SoftLimitsAnswer> {
     // HTTP's DELETE has no parameters, and ignores a body.
     let gripper = call.gripper()?.with_lease(call.lenient_text("lease").as_deref())?;
     exchange_soft_limits(gripper, wsg::Command::ClearSoftLimits).await
@@ -228,7 +228,7 @@ fn overdrive_of(gripper: &Gripper, state: SystemState) -> Json<OverdriveAnswer> 
     Json(OverdriveAnswer { gripper: gripper.name(), enabled: state.contains(SystemState::OVERDRIVE_MODE) })
 }
 
-fn get_overdrive(call: &Call) -> Answer<OverdriveAnswer> {
+fn get_overdrive(call: &Call) -> SettingResult<OverdriveAnswer> {
     let (gripper, NoFields {}) = call.gripper_and_fields()?;
     let state = gripper.handle.state();
     let never_heard = || Failure::LinkDown {
@@ -239,7 +239,7 @@ fn get_overdrive(call: &Call) -> Answer<OverdriveAnswer> {
     Ok(overdrive_of(&gripper, SystemState::from_bits_retain(flags)))
 }
 
-async fn set_overdrive(call: Call) -> Answer<OverdriveAnswer> {
+async fn set_overdrive(call: Call) -> SettingResult<OverdriveAnswer> {
     let (gripper, body): (_, OverdriveSetting) = call.gripper_and_fields()?;
     let gripper = gripper.with_lease(body.lease.as_deref())?;
     let state = ask(&gripper, wsg::Command::OverdriveMode { on: body.enabled }, only!(Data::SystemState)).await?;
@@ -271,7 +271,7 @@ pub struct TagSetting {
     lease: Option<String>,
 }
 
-async fn exchange_tag(gripper: Gripper, command: wsg::Command) -> Answer<TagAnswer> {
+async fn exchange_tag(gripper: Gripper, command: wsg::Command) -> SettingResult<TagAnswer> {
     let take = |data| match data {
         Data::DeviceTag(tag) => Some(Some(tag)),
         Data::None => Some(None),
@@ -281,12 +281,12 @@ async fn exchange_tag(gripper: Gripper, command: wsg::Command) -> Answer<TagAnsw
     Ok(Json(TagAnswer { gripper: gripper.name(), tag: tag.map(|tag| tag.as_str().to_owned()) }))
 }
 
-async fn get_tag(call: Call) -> Answer<TagAnswer> {
+async fn get_tag(call: Call) -> SettingResult<TagAnswer> {
     let (gripper, NoFields {}) = call.gripper_and_fields()?;
     exchange_tag(gripper, wsg::Command::GetDeviceTag).await
 }
 
-async fn set_tag(call: Call) -> Answer<TagAnswer> {
+async fn set_tag(call: Call) -> SettingResult<TagAnswer> {
     let (gripper, TagSetting { tag, lease }) = call.gripper_and_fields()?;
     let gripper = gripper.with_lease(lease.as_deref())?;
     let refused = |error: InvalidDeviceTag| match error {

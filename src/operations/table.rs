@@ -105,7 +105,7 @@ pub(super) fn shortened(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::super::operation::subject;
+    use super::super::operation::journal_command;
     use super::*;
 
     #[test]
@@ -117,9 +117,9 @@ mod tests {
 
     #[test]
     fn subject_is_last_fixed_part() {
-        assert_eq!(settings::SET_ACCELERATION.subject(), "acceleration");
-        assert_eq!(subject("/grippers/{g}/custom/{id}"), "custom");
-        assert_eq!(commands::CANCEL.subject(), "cancel");
+        assert_eq!(settings::SET_ACCELERATION.journal_command(), "acceleration");
+        assert_eq!(journal_command("/grippers/{g}/custom/{id}"), "custom");
+        assert_eq!(commands::CANCEL.journal_command(), "cancel");
     }
 
     #[test]

@@ -26,7 +26,7 @@ pub(super) struct Grip {
 
 /// Outcome of a grip's step.
 #[derive(Debug)]
-pub(super) enum Grown {
+pub(super) enum GripProgress {
     NotYet { pressing: Option<AxisDirection> },
     Held(Hold),
     Nothing { blocked: Option<AxisDirection> },
@@ -45,24 +45,24 @@ impl Grip {
         self.pressing > 0
     }
 
-    pub fn step(&mut self, axis: &mut Axis, surfaces: &Surfaces) -> Grown {
+    pub fn step(&mut self, axis: &mut Axis, surfaces: &Surfaces) -> GripProgress {
         let direction = match axis.step(&self.drive, surfaces) {
             Progress::Pressing(direction) => direction,
             Progress::Moving => {
                 self.pressing = 0;
-                return Grown::NotYet { pressing: None };
+                return GripProgress::NotYet { pressing: None };
             }
             // End of the clamping travel. A soft part may be present without resisting with the requested force.
-            Progress::Reached => return Grown::Nothing { blocked: None },
+            Progress::Reached => return GripProgress::Nothing { blocked: None },
         };
         self.pressing += 1;
         if self.pressing < SETTLE_STEPS {
-            return Grown::NotYet { pressing: Some(direction) };
+            return GripProgress::NotYet { pressing: Some(direction) };
         }
         if (self.from_mm..=self.to_mm).contains(&axis.position_mm) {
-            Grown::Held(Hold { drive: self.drive, direction: self.direction, without_contact: 0 })
+            GripProgress::Held(Hold { drive: self.drive, direction: self.direction, without_contact: 0 })
         } else {
-            Grown::Nothing { blocked: Some(direction) }
+            GripProgress::Nothing { blocked: Some(direction) }
         }
     }
 }

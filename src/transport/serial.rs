@@ -27,7 +27,7 @@ const DEFAULT_BAUD: u32 = 115_200;
 const FRAME_GAP: Duration = Duration::from_millis(100);
 
 /// Shortest interval between checks whether the kernel's buffer is empty.
-const DRAINS_WITHIN: Duration = Duration::from_millis(1);
+const MIN_CHECK_INTERVAL: Duration = Duration::from_millis(1);
 
 /// A serial port with its line settings.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -178,7 +178,7 @@ impl AsyncWrite for Writer {
             if waiting == 0 {
                 return Poll::Ready(Ok(()));
             }
-            let time = self.pacer.line_time(waiting as usize).max(DRAINS_WITHIN);
+            let time = self.pacer.line_time(waiting as usize).max(MIN_CHECK_INTERVAL);
             self.pacer.hold(time);
         }
     }

@@ -127,7 +127,7 @@ impl Wear {
         loop {
             let counted = self.known().grippers.values().map(|wear| wear.seq).max();
             let Some(counted) = counted.filter(|seq| *seq > 0) else { return };
-            let (limit, cursor) = (Limit::new(CAUGHT_UP_AT_ONCE).unwrap_or_default(), Some(Cursor::behind(counted)));
+            let (limit, cursor) = (Limit::new(CAUGHT_UP_AT_ONCE).unwrap_or_default(), Some(Cursor::after(counted)));
             let query = GripQuery { cursor, limit, order: Order::Oldest, ..GripQuery::default() };
             match self.journal.grips(query).await {
                 Ok(page) => {
@@ -215,7 +215,9 @@ impl Wear {
                 key: PersistedKey::Wear,
                 value: Some(value),
             })),
-            Err(error) => tracing::error!(%error, %gripper, "wear of the fingers not persisted: it cannot be encoded as JSON"),
+            Err(error) => {
+                tracing::error!(%error, %gripper, "wear of the fingers not persisted: it cannot be encoded as JSON");
+            }
         }
     }
 

@@ -71,12 +71,9 @@ impl Worker {
                     self.advance(event.seq);
                     continue;
                 }
-                Ok(Some(StreamItem::Removed { behind, missed })) => {
-                    let (seq, gateway) = (behind + missed, &self.webhook.gateway);
-                    (
-                        seq,
-                        json!({"kind": "gap", "gateway": gateway, "seq": behind, "missed": missed}).to_string().into(),
-                    )
+                Ok(Some(StreamItem::Removed { after, missed })) => {
+                    let (seq, gateway) = (after + missed, &self.webhook.gateway);
+                    (seq, json!({"kind": "gap", "gateway": gateway, "seq": after, "missed": missed}).to_string().into())
                 }
                 Ok(None) => break,
                 Err(error) => {

@@ -49,7 +49,7 @@ impl Subscriptions {
 
     /// Whether any updates are sent on change.
     #[must_use]
-    pub fn watch(&self) -> bool {
+    pub fn has_on_change(&self) -> bool {
         self.0.iter().any(|subscription| subscription.on_change)
     }
 

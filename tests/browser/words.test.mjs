@@ -66,9 +66,9 @@ test('every text is used', () => {
   const all = sources.map(({ text }) => text).join('\n');
   const families = new Set(Array.from(all.matchAll(/`([\w.]+\.)\$\{/g), ([, family]) => family));
   for (const family of ['history.', 'type.', 'command.', 'kind.', 'outcome.']) families.add(family);
-  const isAsked = (key) => all.includes(`'${key}'`) || [...families].some((family) => key.startsWith(family));
+  const isMotionRequested = (key) => all.includes(`'${key}'`) || [...families].some((family) => key.startsWith(family));
   assert.deepEqual(
-    Object.keys(en).filter((key) => !isAsked(key)),
+    Object.keys(en).filter((key) => !isMotionRequested(key)),
     [],
   );
 });

@@ -231,7 +231,7 @@ fn follow(reader: &Reader, after: Option<u64>, filters: &Filters, out: &mut impl
     loop {
         // Events that arrive during the read belong to the next round.
         let last = reader.last_seq()?;
-        query.cursor = Some(Cursor::behind(after));
+        query.cursor = Some(Cursor::after(after));
         pages(query.clone(), u64::MAX, |query| reader.events_until(query, last), |bodies| list(out, bodies))?;
         out.flush()?;
         after = after.max(last);

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::super::Now;
 use super::super::error::{Conflict, Failure, Invalid, Rejection};
-use super::super::handle::{Answer, Steps, Ticket};
+use super::super::handle::{ResultSender, Steps, Ticket};
 use super::super::model::{
     Action, Client, CommandId, CommandReport, FastStopId, LeaseToken, Motion, SettingChange, Submission,
 };
@@ -272,7 +272,7 @@ impl Actor {
         getter: Command,
         setter: Command,
         client: Client,
-        answer: Answer<Data>,
+        answer: ResultSender<Data>,
     ) {
         let command = getter.clone();
         let exchange = Exchange { command, answer, accepted: None, setter: Some(setter), client, lease: None };
@@ -302,7 +302,7 @@ impl Actor {
     }
 
     /// Sends an acknowledgement, if the latch and the link allow it.
-    pub(super) fn acknowledge(&mut self, now: Now, id: FastStopId, client: Client, answer: Answer<()>) {
+    pub(super) fn acknowledge(&mut self, now: Now, id: FastStopId, client: Client, answer: ResultSender<()>) {
         let allowed = self.latch.check_acknowledge(id).map_err(Rejection::from);
         self.send_acknowledge(now, allowed, Some(id), client, answer);
     }
@@ -313,7 +313,7 @@ impl Actor {
         now: Now,
         client: Client,
         lease: Option<&LeaseToken>,
-        answer: Answer<()>,
+        answer: ResultSender<()>,
     ) {
         let allowed = self.latch.check_acknowledge_fault(self.observed.shows_fault());
         let allowed = allowed.and_then(|()| Ok(self.check_claim(now, &client, lease)?));
@@ -326,7 +326,7 @@ impl Actor {
         allowed: Result<(), Rejection>,
         id: Option<FastStopId>,
         client: Client,
-        answer: Answer<()>,
+        answer: ResultSender<()>,
     ) {
         let allowed = allowed.and_then(|()| Ok(self.check_link()?));
         let sent = allowed.and_then(|()| {

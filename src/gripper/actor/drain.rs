@@ -8,7 +8,7 @@ use tokio::sync::oneshot;
 
 use super::super::Now;
 use super::super::error::{Conflict, Failure, Rejection};
-use super::super::handle::Answer;
+use super::super::handle::ResultSender;
 use super::super::model::{Client, LeaseToken};
 use super::super::observed;
 use super::Actor;
@@ -36,7 +36,7 @@ enum Ending {
     /// The gripper, and the callers that wait for its end.
     Gripper(Vec<oneshot::Sender<()>>),
     /// The link only, and the client that releases the device.
-    Link(Answer<()>),
+    Link(ResultSender<()>),
     /// The link only, before a new configuration.
     Configuration,
 }
@@ -48,7 +48,7 @@ enum Stage {
     /// The command did not finish, and is being stopped.
     Stopping,
     /// The last requests wait to be written, or for their replies.
-    Announcing,
+    Leaving,
     /// 07h was written, and nothing may follow.
     Announced,
     /// The link can be closed.
@@ -98,7 +98,13 @@ impl Actor {
 
     /// Releases the device to another program. The client is answered once the link is closed and no attempt to
     /// connect is under way.
-    pub(super) fn disconnect(&mut self, now: Now, client: &Client, lease: Option<&LeaseToken>, answer: Answer<()>) {
+    pub(super) fn disconnect(
+        &mut self,
+        now: Now,
+        client: &Client,
+        lease: Option<&LeaseToken>,
+        answer: ResultSender<()>,
+    ) {
         if let Err(rejection) = self.check_disconnect(now, client, lease) {
             self.answers.add(answer, Err(rejection));
             return;
@@ -129,7 +135,7 @@ impl Actor {
     }
 
     /// Lets the gateway connect to a released device again.
-    pub(super) fn connect(&mut self, now: Now, client: &Client, lease: Option<&LeaseToken>, answer: Answer<()>) {
+    pub(super) fn connect(&mut self, now: Now, client: &Client, lease: Option<&LeaseToken>, answer: ResultSender<()>) {
         let result = match self.check_claim(now, client, lease) {
             Ok(()) if self.drain.is_some() => Err(Failure::Draining.into()),
             allowed => allowed.map_err(Rejection::from),
@@ -147,7 +153,7 @@ impl Actor {
     }
 
     /// Ends a drain of the link alone, once the link is down. Returns the client to answer.
-    pub(super) fn end_link_drain(&mut self) -> Option<Answer<()>> {
+    pub(super) fn end_link_drain(&mut self) -> Option<ResultSender<()>> {
         match self.drain.take_if(|drain| !matches!(drain.ending, Ending::Gripper(_)))?.ending {
             Ending::Link(answer) => Some(answer),
             Ending::Gripper(_) | Ending::Configuration => None,
@@ -190,7 +196,7 @@ impl Actor {
         let is_busy = self.link.is_up() && self.link.session.as_ref().is_some_and(|session| !session.is_idle());
         let is_unconfirmed = self.latch.is_unconfirmed();
         let idle = self.motion.running.is_none() && !is_unconfirmed && !is_busy;
-        let is_answered = !self.link.purposes.values().any(|purpose| matches!(purpose, Purpose::Announce));
+        let is_answered = !self.link.purposes.values().any(|purpose| matches!(purpose, Purpose::LastRequest));
         let late = drain.until <= now.instant;
         match drain.stage {
             Stage::Finishing if idle => self.leave(now),
@@ -203,10 +209,10 @@ impl Actor {
                 }
             }
             Stage::Stopping if idle || late => self.leave(now),
-            Stage::Announcing | Stage::Announced if late => drain.stage = Stage::Over,
+            Stage::Leaving | Stage::Announced if late => drain.stage = Stage::Over,
             Stage::Announced if is_answered => drain.stage = Stage::Over,
             // Fingers can have begun to move meanwhile, and a FAST STOP can have been sent.
-            Stage::Announcing if is_answered && !is_unconfirmed => {
+            Stage::Leaving if is_answered && !is_unconfirmed => {
                 if !self.stop_before_leaving(now)
                     && let Some(drain) = &mut self.drain
                 {
@@ -235,14 +241,14 @@ impl Actor {
             }
         }
         if let Some(drain) = &mut self.drain {
-            drain.stage = if is_sent { Stage::Announcing } else { Stage::Over };
+            drain.stage = if is_sent { Stage::Leaving } else { Stage::Over };
             // Longer than the session's own deadlines for writing and for the reply.
             drain.until = now.instant + 3 * ANSWERED_WITHIN;
         }
     }
 
     fn submit_last(&mut self, now: Now, command: Command) -> bool {
-        self.link.submit_within(now, command, Purpose::Announce, ANSWERED_WITHIN, ANSWERED_WITHIN).is_ok()
+        self.link.submit_within(now, command, Purpose::LastRequest, ANSWERED_WITHIN, ANSWERED_WITHIN).is_ok()
     }
 
     /// Sends one Stop if the fingers move, on a transport without connections. Returns whether it was sent now.

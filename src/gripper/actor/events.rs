@@ -174,7 +174,7 @@ impl Actor {
             Purpose::Stop(id) => self.stop_ended(now, id, end),
             Purpose::OwnStop(stop) => self.own_stop_ended(now, stop, &end),
             // A drain looks for the last requests that remain.
-            Purpose::Announce => {}
+            Purpose::LastRequest => {}
             Purpose::Exchange(exchange) => {
                 self.reads.forget();
                 if self.is_script(&exchange.command) {

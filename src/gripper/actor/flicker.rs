@@ -1,4 +1,4 @@
-//! Changes of the device or its link that repeat quickly. The first few of each sort are recorded at once, and further
+//! Changes of the device or its link that repeat quickly. The first few of each kind are recorded at once, and further
 //! ones are counted per second, so that a flickering device does not fill the disk. FAST STOPs and events of commands
 //! are always recorded.
 
@@ -12,22 +12,22 @@ use super::recording::Recording;
 /// Time for which changes are counted before they are recorded.
 const COUNTED_FOR: Duration = Duration::from_secs(1);
 
-/// Changes of one sort that are recorded at once. A restart or a reconnection has fewer.
-const MAX_PROMPT: u64 = 4;
+/// Changes of one kind that are recorded at once. A restart or a reconnection has fewer.
+const MAX_IMMEDIATE: u64 = 4;
 
-/// Sorts distinguished. All further sorts are counted together, and the newest of them is recorded.
-const MAX_SORTS: usize = 16;
+/// Kinds distinguished. All further kinds are counted together, and the newest of them is recorded.
+const MAX_KINDS: usize = 16;
 
 /// Changes within the current second.
 #[derive(Debug, Default)]
 pub(super) struct Flicker {
-    /// Sorts in the order of their last change.
-    sorts: Vec<Sort>,
+    /// Kinds in the order of their last change.
+    kinds: Vec<ChangeKind>,
     until: Option<Instant>,
 }
 
 #[derive(Debug)]
-struct Sort {
+struct ChangeKind {
     name: String,
     written: u64,
     /// The newest unrecorded change. `left_out` counts those before it.
@@ -39,37 +39,37 @@ impl Flicker {
     /// Takes a change. Returns it if it has to be recorded now; otherwise it is counted.
     fn take(&mut self, now: Instant, name: String, event: Event) -> Option<Event> {
         self.until.get_or_insert(now + COUNTED_FOR);
-        let found = self.sorts.iter().position(|sort| sort.name == name);
-        let name = if found.is_none() && self.sorts.len() >= MAX_SORTS { "others".to_owned() } else { name };
-        let found = found.or_else(|| self.sorts.iter().position(|sort| sort.name == name));
-        let mut sort = match found {
-            Some(index) => self.sorts.remove(index),
-            None => Sort { name, written: 0, newest: None, left_out: 0 },
+        let found = self.kinds.iter().position(|kind| kind.name == name);
+        let name = if found.is_none() && self.kinds.len() >= MAX_KINDS { "others".to_owned() } else { name };
+        let found = found.or_else(|| self.kinds.iter().position(|kind| kind.name == name));
+        let mut kind = match found {
+            Some(index) => self.kinds.remove(index),
+            None => ChangeKind { name, written: 0, newest: None, left_out: 0 },
         };
-        let prompt = if sort.written < MAX_PROMPT {
-            sort.written += 1;
+        let prompt = if kind.written < MAX_IMMEDIATE {
+            kind.written += 1;
             Some(event)
         } else {
-            sort.left_out += u64::from(sort.newest.replace(event).is_some());
+            kind.left_out += u64::from(kind.newest.replace(event).is_some());
             None
         };
-        self.sorts.push(sort);
+        self.kinds.push(kind);
         prompt
     }
 
-    /// Ends the second. Returns the changes left out and the newest of each sort, to be recorded. A sort that was quiet
+    /// Ends the second. Returns the changes left out and the newest of each kind, to be recorded. A kind that was quiet
     /// for a second starts over.
     fn end(&mut self, now: Instant) -> (Option<DeviceEvent>, Vec<Event>) {
-        let left_out = || self.sorts.iter().filter(|sort| sort.left_out > 0);
-        let names: BTreeSet<_> = left_out().map(|sort| sort.name.as_str()).collect();
+        let left_out = || self.kinds.iter().filter(|kind| kind.left_out > 0);
+        let names: BTreeSet<_> = left_out().map(|kind| kind.name.as_str()).collect();
         let cause = names.into_iter().collect::<Vec<_>>().join(", ");
-        let count = left_out().map(|sort| sort.left_out).sum();
-        self.sorts.retain(|sort| sort.newest.is_some());
-        for sort in &mut self.sorts {
-            sort.left_out = 0;
+        let count = left_out().map(|kind| kind.left_out).sum();
+        self.kinds.retain(|kind| kind.newest.is_some());
+        for kind in &mut self.kinds {
+            kind.left_out = 0;
         }
-        let newest = self.sorts.iter_mut().filter_map(|sort| sort.newest.take()).collect();
-        self.until = (!self.sorts.is_empty()).then_some(now + COUNTED_FOR);
+        let newest = self.kinds.iter_mut().filter_map(|kind| kind.newest.take()).collect();
+        self.until = (!self.kinds.is_empty()).then_some(now + COUNTED_FOR);
         ((count > 0).then_some(DeviceEvent::Flickering { cause, count }), newest)
     }
 
@@ -81,9 +81,9 @@ impl Flicker {
 impl Recording {
     /// Records a change of the device or its link, now or with the counted ones.
     pub(super) fn change_of_device(&mut self, now: Now, event: Event) {
-        let sort = sort_of(&event).filter(|_| event.command_id.is_none());
-        let event = match sort {
-            Some(sort) => self.flicker.take(now.instant, sort, event),
+        let kind = kind_of(&event).filter(|_| event.command_id.is_none());
+        let event = match kind {
+            Some(kind) => self.flicker.take(now.instant, kind, event),
             None => Some(event),
         };
         if let Some(event) = event {
@@ -101,8 +101,8 @@ impl Recording {
     }
 }
 
-/// Sort of an event that can repeat quickly; `None` for other events.
-fn sort_of(event: &Event) -> Option<String> {
+/// Kind of an event that can repeat quickly; `None` for other events.
+fn kind_of(event: &Event) -> Option<String> {
     Some(match &event.detail {
         Detail::Link(link) => format!("link {}", link.link),
         Detail::Device(DeviceEvent::Fault { flags }) => format!("fault {}", flags.join(" ")),

@@ -49,7 +49,7 @@ impl Actor {
     }
 
     /// Records the results of acknowledgements, and sends them to their clients.
-    pub(super) fn tell_acknowledges(&mut self, now: Now) {
+    pub(super) fn send_acknowledge_results(&mut self, now: Now) {
         for acknowledged in self.latch.take_acknowledged() {
             self.recording.record_repeats();
             let cause = acknowledged.result.as_ref().err().map(ToString::to_string);

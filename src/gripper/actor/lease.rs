@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use super::super::Now;
 use super::super::error::{Conflict, Failure, Rejection};
-use super::super::handle::{AcquiredLease, Answer, FastStopRequest};
+use super::super::handle::{AcquiredLease, FastStopRequest, ResultSender};
 use super::super::lease::{AcquireOutcome, HeldLease, Holder, Terms};
 use super::super::model::{
     Client, FastStopCause, Lease, LeaseEvent, LeaseStep, LeaseToken, LossCause, LossEffect, OnLossHolding,
@@ -45,7 +45,13 @@ impl Actor {
         self.lease.view(now.instant, None)
     }
 
-    pub(super) fn take_lease(&mut self, now: Now, wish: &TakeLease, token: LeaseToken, answer: Answer<AcquiredLease>) {
+    pub(super) fn take_lease(
+        &mut self,
+        now: Now,
+        wish: &TakeLease,
+        token: LeaseToken,
+        answer: ResultSender<AcquiredLease>,
+    ) {
         let granted = self.try_take_lease(now, wish, token).map(|()| {
             let token = self.lease.token().cloned();
             let keep = self.lease.bind(now.instant, token.as_ref());

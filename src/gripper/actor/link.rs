@@ -8,7 +8,7 @@ use tokio::sync::{broadcast, oneshot};
 
 use super::super::Now;
 use super::super::error::{Failure, Rejection};
-use super::super::handle::Answer;
+use super::super::handle::ResultSender;
 use super::super::model::{Client, CommandId, LeaseToken, Link, Name, WireRecord};
 use super::super::setup::{Setting, Setup, Step};
 use super::wire_log::WireLog;
@@ -60,7 +60,7 @@ pub(super) enum Purpose {
     /// A getter that several clients can wait for.
     Read(u8),
     /// One of the last requests before the link is closed.
-    Announce,
+    LastRequest,
 }
 
 /// A Stop of the gateway's own.
@@ -87,7 +87,7 @@ impl OwnStop {
 #[derive(Debug)]
 pub(super) struct Exchange {
     pub command: Command,
-    pub answer: Answer<Data>,
+    pub answer: ResultSender<Data>,
     /// Signalled when the device has accepted the request.
     pub accepted: Option<oneshot::Sender<()>>,
     /// The setter whose value is being read back.

@@ -300,8 +300,8 @@ impl Actor {
         self.metering.session(self.link.session.as_mut());
         self.publish(now);
         self.recording.persist_changes(&self.latch, &self.lease, self.observed.part.grip, &self.commands.last);
-        self.commands.tell();
-        self.tell_acknowledges(now);
+        self.commands.notify();
+        self.send_acknowledge_results(now);
         self.settings.overdrive.answer(self.observed.flags);
         self.answers.send();
     }

@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use super::super::error::{Failure, Rejection};
-use super::super::handle::Answer;
+use super::super::handle::ResultSender;
 use crate::wsg::{Data, SystemState};
 
 /// Time limit for the flags to show that Overdrive Mode was switched.
@@ -13,12 +13,12 @@ const FLAGS_WITHIN: Duration = Duration::from_millis(500);
 pub(super) struct Overdrive {
     is_wanted: bool,
     /// Requests that wait for the flags, each with the end of its wait.
-    waiting: Vec<(Instant, Answer<Data>)>,
+    waiting: Vec<(Instant, ResultSender<Data>)>,
 }
 
 impl Overdrive {
     /// Waits for the flags, after the device has accepted a request to switch.
-    pub(super) fn requested(&mut self, now: Instant, on: bool, answer: Answer<Data>) {
+    pub(super) fn requested(&mut self, now: Instant, on: bool, answer: ResultSender<Data>) {
         self.is_wanted = on;
         self.waiting.push((now + FLAGS_WITHIN, answer));
     }

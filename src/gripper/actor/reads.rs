@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use super::super::Now;
 use super::super::error::{Failure, Rejection};
-use super::super::handle::Answer;
+use super::super::handle::ResultSender;
 use super::Actor;
 use super::link::Purpose;
 use crate::wsg::session::End;
@@ -24,7 +24,7 @@ const MAX_READERS: usize = 1024;
 #[derive(Debug, Default)]
 pub(super) struct Reads {
     known: BTreeMap<u8, (Instant, Result<Data, Rejection>)>,
-    waiting: BTreeMap<u8, Vec<Answer<Data>>>,
+    waiting: BTreeMap<u8, Vec<ResultSender<Data>>>,
     /// Whether the reads under way began before a change. Their replies are passed on but not kept.
     outdated: bool,
 }
@@ -63,7 +63,7 @@ impl Reads {
 
 impl Actor {
     /// Answers with a known value, or with a read of the device.
-    pub(super) fn read(&mut self, now: Now, command: Command, answer: Answer<Data>) {
+    pub(super) fn read(&mut self, now: Now, command: Command, answer: ResultSender<Data>) {
         let id = command.id();
         if let Some(result) = self.reads.fresh(now.instant, id) {
             let _ = answer.send(result);

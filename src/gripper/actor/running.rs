@@ -24,7 +24,7 @@ const SETTLES_WITHIN: Duration = Duration::from_millis(50);
 const ENDS_WITHIN: Duration = Duration::from_millis(300);
 
 /// Upper bound of a travel time, whatever stroke a device reports.
-const LONGEST_WAY: Duration = Duration::from_mins(5);
+const MAX_TRAVEL_TIME: Duration = Duration::from_mins(5);
 
 /// Assumed stroke of a device that has not reported its own.
 const LONGEST_STROKE_MM: f32 = 250.0;
@@ -106,13 +106,13 @@ impl Running {
 
     /// Time for which the fingers can still move because of this command after its end.
     fn moves_on_for(&self, stroke_mm: Option<f32>) -> Duration {
-        let is_told = matches!(self.stage, Stage::Settling(Settling { status: Some(_), .. }));
+        let has_status = matches!(self.stage, Stage::Settling(Settling { status: Some(_), .. }));
         match &self.motion {
             // The fingers push against an obstacle, and snap to the target when it is gone.
-            Motion::Move { flags, .. } if !flags.stop_on_block => LONGEST_WAY,
+            Motion::Move { flags, .. } if !flags.stop_on_block => MAX_TRAVEL_TIME,
             // A script can do anything.
             Motion::Custom(_) => RESULT_WITHIN,
-            _ if is_told => ENDS_WITHIN,
+            _ if has_status => ENDS_WITHIN,
             motion => result_within(motion, stroke_mm),
         }
     }
@@ -126,8 +126,8 @@ pub(super) fn result_within(motion: &Motion, stroke_mm: Option<f32>) -> Duration
         Motion::Move { speed, .. } | Motion::Grip { speed, .. } | Motion::Release { speed, .. } => speed.mm_s(),
     };
     let stroke = stroke_mm.unwrap_or(LONGEST_STROKE_MM);
-    let travel_time = Duration::try_from_secs_f32(stroke / speed.max(1.0)).unwrap_or(LONGEST_WAY);
-    travel_time.min(LONGEST_WAY) + MOTION_MARGIN
+    let travel_time = Duration::try_from_secs_f32(stroke / speed.max(1.0)).unwrap_or(MAX_TRAVEL_TIME);
+    travel_time.min(MAX_TRAVEL_TIME) + MOTION_MARGIN
 }
 
 /// The current motion, and the end of the last one.

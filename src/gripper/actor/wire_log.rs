@@ -60,7 +60,7 @@ impl WireLog {
         decoder.push(bytes);
         while let Some(decoded) = decoder.next() {
             if let Decoded::Frame(frame) = decoded {
-                self.tell_frame(now, FrameDirection::Sent, frame);
+                self.log_frame(now, FrameDirection::Sent, frame);
             }
         }
     }
@@ -79,7 +79,7 @@ impl WireLog {
             let start = received.decoder.position();
             let Some(decoded) = received.decoder.next() else {
                 let skipped = (received.decoder.position() - start) as usize;
-                self.tell_skipped(now, &mut received, skipped);
+                self.log_skipped(now, &mut received, skipped);
                 break;
             };
             match decoded {
@@ -87,15 +87,15 @@ impl WireLog {
                     let (id, payload) = (frame.id, frame.payload.to_vec());
                     let length = payload.len() + OVERHEAD_BYTES;
                     let skipped = (received.decoder.position() - start) as usize - length;
-                    self.tell_skipped(now, &mut received, skipped);
-                    self.tell_frame(now, FrameDirection::Received, wsg::Frame { id, payload: &payload });
+                    self.log_skipped(now, &mut received, skipped);
+                    self.log_frame(now, FrameDirection::Received, wsg::Frame { id, payload: &payload });
                     received.take(length);
                     received.is_in_step = true;
                 }
                 Decoded::Damaged { id } => {
                     let skipped = (received.decoder.position() - start) as usize - 1;
-                    self.tell_skipped(now, &mut received, skipped);
-                    self.tell_damaged(now, &mut received, id);
+                    self.log_skipped(now, &mut received, skipped);
+                    self.log_damaged(now, &mut received, id);
                     received.take(1);
                 }
             }
@@ -109,7 +109,7 @@ impl WireLog {
         self.is_at_start = true;
     }
 
-    fn tell_frame(&mut self, now: Now, direction: FrameDirection, frame: wsg::Frame<'_>) {
+    fn log_frame(&mut self, now: Now, direction: FrameDirection, frame: wsg::Frame<'_>) {
         self.seq += 1;
         let mut bytes = Vec::new();
         wsg::frame::encode(frame.id, frame.payload, &mut bytes);
@@ -117,7 +117,7 @@ impl WireLog {
             FrameDirection::Sent => WireDirection::Request,
             FrameDirection::Received => WireDirection::Reply,
         };
-        self.tell(WireRecord::Frame(FrameRecord {
+        self.log(WireRecord::Frame(FrameRecord {
             gripper: self.gripper.clone(),
             seq: self.seq,
             at: now.wall,
@@ -130,7 +130,7 @@ impl WireLog {
     }
 
     /// Logs the frame with a wrong checksum at the start of the bytes.
-    fn tell_damaged(&mut self, now: Now, received: &mut ReceivedBytes, id: u8) {
+    fn log_damaged(&mut self, now: Now, received: &mut ReceivedBytes, id: u8) {
         let size = match received.rest.get(4..HEADER_BYTES) {
             Some(&[low, high]) => usize::from(u16::from_le_bytes([low, high])),
             _ => 0,
@@ -138,22 +138,22 @@ impl WireLog {
         let length = (size + OVERHEAD_BYTES).min(received.rest.len());
         if received.is_in_step && received.reported < length {
             let (name, text) = (id::name(id).map(ToOwned::to_owned), describe_damaged(id));
-            self.tell_damage(now, &received.rest[..length], WireDamage::Checksum, (Some(id), name, text));
+            self.log_damage(now, &received.rest[..length], WireDamage::Checksum, (Some(id), name, text));
         }
         received.reported = received.reported.max(length);
     }
 
     /// Logs bytes that belong to no frame, unless they are part of a damaged frame.
-    fn tell_skipped(&mut self, now: Now, received: &mut ReceivedBytes, bytes: usize) {
+    fn log_skipped(&mut self, now: Now, received: &mut ReceivedBytes, bytes: usize) {
         if received.is_in_step && received.reported < bytes {
             let skipped = &received.rest[received.reported..bytes];
             let text = describe_skipped(skipped.len() as u64);
-            self.tell_damage(now, skipped, WireDamage::Skipped, (None, None, text));
+            self.log_damage(now, skipped, WireDamage::Skipped, (None, None, text));
         }
         received.take(bytes);
     }
 
-    fn tell_damage(
+    fn log_damage(
         &mut self,
         now: Now,
         bytes: &[u8],
@@ -161,7 +161,7 @@ impl WireLog {
         (id, name, text): (Option<u8>, Option<String>, String),
     ) {
         self.seq += 1;
-        self.tell(WireRecord::Damage(DamageRecord {
+        self.log(WireRecord::Damage(DamageRecord {
             gripper: self.gripper.clone(),
             seq: self.seq,
             at: now.wall,
@@ -175,7 +175,7 @@ impl WireLog {
         }));
     }
 
-    fn tell(&self, record: WireRecord) {
+    fn log(&self, record: WireRecord) {
         // The last listener may have just gone.
         let _ = self.listeners.send(Arc::new(record));
     }

@@ -46,7 +46,7 @@ pub(super) struct CommandRegistry {
     /// The newest motion.
     pub last: LastCommand,
     /// Ended commands whose clients have not been notified yet.
-    untold: Vec<Arc<CommandReport>>,
+    unnotified: Vec<Arc<CommandReport>>,
 }
 
 #[derive(Debug)]
@@ -97,7 +97,7 @@ impl Default for CommandRegistry {
             motion_ids: RequestIds::new(MOTION_IDS),
             frequent_ids: RequestIds::new(FREQUENT_IDS),
             last: LastCommand::default(),
-            untold: Vec::new(),
+            unnotified: Vec::new(),
         }
     }
 }
@@ -171,7 +171,7 @@ impl CommandRegistry {
         Some(ticket.watched())
     }
 
-    /// Ends a command. [`CommandRegistry::tell`] notifies its clients. A second end of the same command does nothing.
+    /// Ends a command. [`CommandRegistry::notify`] sends the end to its clients. A second end of the same command does nothing.
     pub(super) fn end(
         &mut self,
         now: Instant,
@@ -180,7 +180,7 @@ impl CommandRegistry {
     ) -> Option<(Client, Arc<CommandReport>)> {
         let entry = self.commands.get(&id)?;
         let mut command = CommandReport::clone(&entry.record.borrow());
-        if command.phase == Phase::Done || self.untold.iter().any(|ended| ended.id == id) {
+        if command.phase == Phase::Done || self.unnotified.iter().any(|ended| ended.id == id) {
             return None;
         }
         command.phase = Phase::Done;
@@ -192,7 +192,7 @@ impl CommandRegistry {
             self.frequent_ids.ended(key, &command);
         }
         let command = Arc::new(command);
-        self.untold.push(command.clone());
+        self.unnotified.push(command.clone());
         Some((entry.client.clone(), command))
     }
 
@@ -228,16 +228,16 @@ impl CommandRegistry {
 
     /// Notifies clients of ended commands. Has to be called after the state was published, so that a client's next read
     /// returns no state from before the end.
-    pub(super) fn tell(&mut self) {
-        let untold = std::mem::take(&mut self.untold);
-        for command in untold {
+    pub(super) fn notify(&mut self) {
+        let unnotified = std::mem::take(&mut self.unnotified);
+        for command in unnotified {
             match self.commands.get(&command.id) {
                 Some(entry) if entry.record.borrow().recorded => {
                     entry
                         .record
                         .send_replace(Arc::new(CommandReport { recorded: true, ..CommandReport::clone(&command) }));
                 }
-                Some(_) => self.untold.push(command),
+                Some(_) => self.unnotified.push(command),
                 None => {}
             }
         }

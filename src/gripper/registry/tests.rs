@@ -37,7 +37,7 @@ impl Desk {
 
     fn end(&mut self, id: CommandId, outcome: Outcome) {
         self.commands.end(self.now, id, |command| command.set_outcome(outcome));
-        self.commands.tell();
+        self.commands.notify();
     }
 
     fn run(&mut self, subject: &str, action: Action, request_id: Option<&str>) -> CommandId {
@@ -159,7 +159,7 @@ fn script_replies_take_slots_by_size() {
     for number in 0..MOTION_IDS.per_subject {
         let id = desk.admit(&submission("test", home(), Some(&number.to_string())));
         desk.commands.end(desk.now, id, |command| command.payload = Some(answer.clone()));
-        desk.commands.tell();
+        desk.commands.notify();
         if !desk.has_room("test") {
             assert!((MOTION_IDS.per_subject / 6..MOTION_IDS.per_subject / 4).contains(&number), "after {number}");
             return;

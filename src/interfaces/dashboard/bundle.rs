@@ -19,8 +19,8 @@ pub(super) struct Bundle {
     /// Modules that this script or an earlier one has.
     joined: BTreeSet<String>,
     script: String,
-    /// Names that the entry passes on from other modules.
-    passed_on: Vec<String>,
+    /// Names that the entry re-exports from other modules.
+    reexports: Vec<String>,
 }
 
 /// The parts of a module.
@@ -30,8 +30,8 @@ struct Module {
     imports: Vec<String>,
     /// Exported variables.
     exports: Vec<String>,
-    /// Names that the module passes on from other modules of this page.
-    passed_on: Vec<String>,
+    /// Names that the module re-exports from other modules of this page.
+    reexports: Vec<String>,
     block: String,
 }
 
@@ -47,7 +47,7 @@ impl Bundle {
     pub(super) fn second(&self, read: Read, entry: &str) -> Self {
         let mut bundle = Self { joined: self.joined.clone(), ..Self::default() };
         bundle.join(read, entry);
-        let _ = writeln!(bundle.script, "export {{ {} }};", bundle.passed_on.join(", "));
+        let _ = writeln!(bundle.script, "export {{ {} }};", bundle.reexports.join(", "));
         bundle
     }
 
@@ -76,7 +76,7 @@ impl Bundle {
             let _ = writeln!(self.script, "let {};", module.exports.join(", "));
         }
         let _ = write!(self.script, "{{\n{}}}\n", module.block);
-        self.passed_on = module.passed_on;
+        self.reexports = module.reexports;
     }
 }
 
@@ -108,7 +108,7 @@ impl Module {
         module
     }
 
-    /// Takes a statement that imports, or passes on.
+    /// Takes an `import` statement or a re-export.
     fn take(&mut self, path: &str, statement: &str) {
         let Some((names, from)) = statement.split_once(" from ") else {
             self.imports.extend(quoted(statement).map(|from| resolved(path, from)));
@@ -118,7 +118,7 @@ impl Module {
         let object = object(&from);
         match (names.split_once('{'), is_library(&from)) {
             (Some(_), false) if names.starts_with("import") => {}
-            (Some((_, names)), false) => self.passed_on.extend(listed(names)),
+            (Some((_, names)), false) => self.reexports.extend(listed(names)),
             (Some((word, names)), true) => {
                 let names: Vec<_> = listed(names).collect();
                 let wanted = names.join(", ");

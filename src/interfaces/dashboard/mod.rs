@@ -51,16 +51,16 @@ const STYLES: [&str; 5] =
 /// Content security policy of the page: only this origin, without inline code or forms, and in no frame of another page
 /// unless the configuration names that page's origin.
 #[derive(Debug, Clone)]
-pub struct FramePolicy(HeaderValue);
+pub struct DashboardPolicy(HeaderValue);
 
-impl Default for FramePolicy {
+impl Default for DashboardPolicy {
     /// Allows no frames.
     fn default() -> Self {
         Self::of(&[]).unwrap_or(Self(HeaderValue::from_static("default-src 'none'")))
     }
 }
 
-impl FramePolicy {
+impl DashboardPolicy {
     /// Allows frames in pages of these origins.
     ///
     /// # Errors
@@ -148,7 +148,7 @@ pub fn page<S: Clone + Send + Sync + 'static>() -> Router<S> {
     Router::new()
         .route(
             "/",
-            routing::get(async move |policy: Extension<FramePolicy>, headers: HeaderMap| {
+            routing::get(async move |policy: Extension<DashboardPolicy>, headers: HeaderMap| {
                 index(&page, &etag, &policy, &headers).await
             }),
         )
@@ -184,7 +184,7 @@ fn version() -> String {
     digits
 }
 
-async fn index(page: &Content, etag: &str, FramePolicy(policy): &FramePolicy, headers: &HeaderMap) -> Response {
+async fn index(page: &Content, etag: &str, DashboardPolicy(policy): &DashboardPolicy, headers: &HeaderMap) -> Response {
     // A quoted hash is always a valid tag.
     let etag: Option<ETag> = etag.parse().ok();
     let is_known = etag

@@ -14,7 +14,7 @@ use tower::ServiceExt;
 use super::*;
 
 fn served(ancestors: &[String]) -> Router {
-    page().layer(Extension(FramePolicy::of(ancestors).unwrap()))
+    page().layer(Extension(DashboardPolicy::of(ancestors).unwrap()))
 }
 
 async fn get(path: &str, known: Option<&HeaderValue>) -> Response<Body> {

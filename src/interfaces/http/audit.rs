@@ -10,7 +10,7 @@ use super::visitor::client;
 use crate::gripper::model::{Name, Urgency};
 use crate::interfaces::metrics::NO_ROUTE;
 use crate::operations::audit::RefusedRequest;
-use crate::operations::{find, subject};
+use crate::operations::{find, journal_command};
 
 /// Records a request if it is refused. A refused read is recorded only if it lacks a valid credential.
 pub async fn record(context: &HttpContext, request: Request, next: impl AsyncFnOnce(Request) -> Response) -> Response {
@@ -27,7 +27,7 @@ pub async fn record(context: &HttpContext, request: Request, next: impl AsyncFnO
         && (!only_reads || response.status() == StatusCode::UNAUTHORIZED)
     {
         let route = route.as_ref().map(MatchedPath::as_str);
-        let command = route.map_or(NO_ROUTE, subject).to_owned();
+        let command = route.map_or(NO_ROUTE, journal_command).to_owned();
         let urgency = route.map_or(Urgency::None, |route| urgency(&method, route));
         context.gateway.audit.record(RefusedRequest { gripper, client, command, code }, &cause, urgency).await;
     }

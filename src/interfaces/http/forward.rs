@@ -21,7 +21,7 @@ use super::operation::{RequestBody, serve_below};
 use super::problem::PROBLEM_JSON;
 use super::visitor::Identified;
 use crate::access::Credential;
-use crate::fleet::{Ask, TOKEN};
+use crate::fleet::{PeerRequest, TOKEN};
 use crate::gripper::model::{Door, Name, Reason, Urgency};
 use crate::interfaces::admission::{Class, ConnectionPermit};
 use crate::operations::fleet::no_answer;
@@ -113,7 +113,7 @@ pub async fn forward(
         context
             .gateway
             .peers
-            .ask(Ask { gateway, gripper: Some(gripper), method, params, wait, aside, client, urgency })
+            .ask(PeerRequest { gateway, gripper: Some(gripper), method, params, wait, aside, client, urgency })
             .await
     };
     let asked = if urgency == Urgency::FastStop {

@@ -25,7 +25,7 @@ use crate::operations::{Code, Problem};
 
 /// Refuses foreign hosts and origins, whatever the method. Any Content-Type is read as JSON, so without this check a
 /// plain form on another site could move a gripper.
-pub async fn refuse_foreigners(
+pub async fn check_host_and_origin(
     settings: &HttpSettings,
     mut request: Request,
     next: impl AsyncFnOnce(Request) -> Response,
@@ -44,7 +44,7 @@ pub async fn refuse_foreigners(
 }
 
 /// Lets the pages of the listed origins use the API (CORS). Other requests pass unchanged.
-pub async fn admit_foreign_pages<F: Future<Output = Response>>(
+pub async fn apply_cors<F: Future<Output = Response>>(
     settings: &HttpSettings,
     request: Request,
     next: Next,

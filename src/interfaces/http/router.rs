@@ -39,9 +39,8 @@ async fn around(State(context): State<Arc<HttpContext>>, request: Request, next:
     let settings = context.settings.get();
     access_log::watch(&context, request, async |request| {
         let response = audit::record(&context, request, async |request| {
-            guard::refuse_foreigners(&settings, request, async |request| {
-                guard::admit_foreign_pages(&settings, request, next, |request, next| admitted(&context, request, next))
-                    .await
+            guard::check_host_and_origin(&settings, request, async |request| {
+                guard::apply_cors(&settings, request, next, |request, next| admitted(&context, request, next)).await
             })
             .await
         });

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use axum::http::HeaderValue;
 
-use crate::interfaces::dashboard::FramePolicy;
+use crate::interfaces::dashboard::DashboardPolicy;
 use crate::interfaces::tls::Tls;
 
 /// Default time after which an idle connection is closed.
@@ -18,7 +18,7 @@ pub struct HttpSettings {
     /// Origins of foreign pages that can use the API.
     pub cors_origins: Vec<String>,
     /// Pages that can show the dashboard in a frame.
-    pub frame_policy: FramePolicy,
+    pub frame_policy: DashboardPolicy,
     /// `None` if connections are not encrypted.
     pub tls: Option<Arc<Tls>>,
     /// Time that a connection can be idle between requests. It also bounds the time for a request's header to arrive.
@@ -47,7 +47,7 @@ impl Default for HttpSettings {
         Self {
             allowed_hosts: Vec::new(),
             cors_origins: Vec::new(),
-            frame_policy: FramePolicy::default(),
+            frame_policy: DashboardPolicy::default(),
             tls: None,
             idle_time: DEFAULT_IDLE_TIME,
         }

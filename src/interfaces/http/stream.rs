@@ -15,8 +15,8 @@ use tokio_util::sync::CancellationToken;
 use utoipa::IntoParams;
 
 use super::context::HttpContext;
-use super::home::Home;
 use super::paths::responses::JournalProblem;
+use super::runtime_mover::RuntimeMover;
 use super::visitor::Identified;
 use crate::access::{Access, Visitor};
 use crate::events::{DEFAULT_HZ, Gap, MAX_HZ, Notification, Pace, Subscription, TOPICS, Topic};
@@ -113,8 +113,8 @@ pub async fn stream(
     let claim = permit.map(|permit| permit.claim(Class::Streaming).ok_or_else(too_many)).transpose()?;
     let stream = Stream { _claim: claim, ..stream };
     // Sending to a thousand observers must not delay requests.
-    if let Some(home) = extensions.get::<Home>() {
-        home.move_to(&context.runtimes.observers);
+    if let Some(mover) = extensions.get::<RuntimeMover>() {
+        mover.move_to(&context.runtimes.observers);
     }
     let messages = unfold(stream, |mut stream| async { stream.next().await.map(|event| (Ok(event), stream)) });
     Ok(Sse::new(messages).keep_alive(KeepAlive::new().interval(KEPT_ALIVE_EVERY)))
@@ -206,9 +206,9 @@ async fn next_event(events: &mut Option<EventStream>) -> Result<Option<sse::Even
         Ok(Some(StreamItem::Event(event))) => {
             Ok(Some(sse::Event::default().event("event").id(event.seq.to_string()).data(&*event.body)))
         }
-        Ok(Some(StreamItem::Removed { behind, missed })) => {
-            let gap = Notification::new("gap", &Gap::of_events(behind, missed.unsigned_abs())).ok_or(())?;
-            Ok(Some(message(&gap).id((behind + missed).to_string())))
+        Ok(Some(StreamItem::Removed { after, missed })) => {
+            let gap = Notification::new("gap", &Gap::of_events(after, missed.unsigned_abs())).ok_or(())?;
+            Ok(Some(message(&gap).id((after + missed).to_string())))
         }
         Err(error) => {
             tracing::warn!(%error, "stream events could not be read; retrying");

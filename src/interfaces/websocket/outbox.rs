@@ -81,7 +81,7 @@ impl Outbox {
     }
 
     /// Whether so much is unread that further requests are refused.
-    pub fn is_unread(&self) -> bool {
+    pub fn is_backlogged(&self) -> bool {
         let queue = self.queue();
         queue.items.len() >= MAX_UNREAD || queue.bytes >= MAX_UNREAD_BYTES
     }

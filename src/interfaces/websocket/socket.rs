@@ -147,7 +147,7 @@ impl Answered {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum End {
+enum SocketEnd {
     /// The gateway shuts down.
     Closing,
     /// The client closed the socket or vanished.
@@ -225,18 +225,18 @@ impl Socket {
         let end = self.read().await;
         tracing::debug!(client = %self.client.subject, ?end, "WebSocket ended");
         // On shutdown the gateway has already released its grippers.
-        for (lease, _) in self.leases.values().filter(|_| end != End::Closing) {
+        for (lease, _) in self.leases.values().filter(|_| end != SocketEnd::Closing) {
             lease.lose(LossCause::Disconnected).await;
         }
         let (code, reason) = match end {
-            End::Closing => (CloseCode::Away, "the gateway is shutting down"),
-            End::Lost => (CloseCode::Policy, "pings were not answered"),
-            End::Evicted => (CloseCode::Again, "evicted: too many connections, or too many unread bytes"),
-            End::Violation(code, reason) => (code, reason),
-            End::Closed => (CloseCode::Normal, ""),
-            End::Unwritable => return,
+            SocketEnd::Closing => (CloseCode::Away, "the gateway is shutting down"),
+            SocketEnd::Lost => (CloseCode::Policy, "pings were not answered"),
+            SocketEnd::Evicted => (CloseCode::Again, "evicted: too many connections, or too many unread bytes"),
+            SocketEnd::Violation(code, reason) => (code, reason),
+            SocketEnd::Closed => (CloseCode::Normal, ""),
+            SocketEnd::Unwritable => return,
         };
-        if end != End::Closed {
+        if end != SocketEnd::Closed {
             self.outbox.push(encoded(Frame::close(Some(CloseFrame { code, reason: reason.into() }))));
         }
         self.outbox.close();
@@ -249,13 +249,13 @@ impl Socket {
             }
         };
         let within = match (&self.permit, end) {
-            (Some(permit), End::Evicted) => permit.linger(),
+            (Some(permit), SocketEnd::Evicted) => permit.linger(),
             _ => FAREWELL_WITHIN,
         };
         let _ = timeout(within, farewell).await;
     }
 
-    async fn read(&mut self) -> End {
+    async fn read(&mut self) -> SocketEnd {
         let permit = self.permit.clone();
         let evicted = async {
             match permit {
@@ -269,9 +269,9 @@ impl Socket {
             let paused_until = self.paused_until.unwrap_or_else(Instant::now);
             tokio::select! {
                 biased;
-                () = self.context.closing.cancelled() => return End::Closing,
-                () = evicted.as_mut() => return if self.context.closing.is_cancelled() { End::Closing } else { End::Evicted },
-                _ = &mut self.writer => return End::Unwritable,
+                () = self.context.closing.cancelled() => return SocketEnd::Closing,
+                () = evicted.as_mut() => return if self.context.closing.is_cancelled() { SocketEnd::Closing } else { SocketEnd::Evicted },
+                _ = &mut self.writer => return SocketEnd::Unwritable,
                 Some(done) = self.calls.next() => self.take_done(done),
                 Some(command) = self.running.next() => {
                     if let Some(ended) = Notification::new("command", &command) {
@@ -287,11 +287,11 @@ impl Socket {
                     // A connection that has lost its lease to another client can be evicted again.
                     self.leases.retain(|_, (lease, _)| lease.is_held());
                     if self.unanswered >= MAX_UNANSWERED {
-                        return End::Lost;
+                        return SocketEnd::Lost;
                     }
                     let access = &self.context.gateway.access;
                     if !self.visitor.is_known(access) || (self.is_subscribed && !self.visitor.may_read(access)) {
-                        return End::Violation(CloseCode::Policy, "the client's credential is no longer valid");
+                        return SocketEnd::Violation(CloseCode::Policy, "the client's credential is no longer valid");
                     }
                     self.lose_forbidden_leases();
                     self.unanswered += 1;
@@ -299,7 +299,7 @@ impl Socket {
                 }
             }
             if self.outbox.has_overflown() {
-                return End::Violation(CloseCode::Policy, "too many unread responses");
+                return SocketEnd::Violation(CloseCode::Policy, "too many unread responses");
             }
         }
     }
@@ -323,7 +323,7 @@ impl Socket {
     }
 
     /// Processes a message from the client. Returns the reason if the message ends the socket.
-    fn take_message(&mut self, message: Option<Result<Message, WsError>>) -> Option<End> {
+    fn take_message(&mut self, message: Option<Result<Message, WsError>>) -> Option<SocketEnd> {
         self.unanswered = 0;
         self.paused_until = self.pace.due(Instant::now(), false);
         self.incoming.get_mut().taken();
@@ -333,7 +333,7 @@ impl Socket {
                 match std::str::from_utf8(&bytes).ok().filter(|text| rpc::has_fast_stop(text)) {
                     Some(text) => self.take_requests(text),
                     None => {
-                        return Some(End::Violation(
+                        return Some(SocketEnd::Violation(
                             CloseCode::Unsupported,
                             "binary frames are not supported, except a FAST STOP",
                         ));
@@ -342,7 +342,7 @@ impl Socket {
             }
             Some(Ok(Message::Ping(_) | Message::Pong(_) | Message::Frame(_))) => {}
             Some(Err(error)) => return Some(end_of(&error)),
-            Some(Ok(Message::Close(_))) | None => return Some(End::Closed),
+            Some(Ok(Message::Close(_))) | None => return Some(SocketEnd::Closed),
         }
         None
     }
@@ -432,7 +432,7 @@ impl Socket {
 
     /// Returns why this client can't start another request now, if it can't.
     fn overload(&self) -> Option<String> {
-        if self.outbox.is_unread() {
+        if self.outbox.is_backlogged() {
             return Some("too many unread responses on this socket: read them first".to_owned());
         }
         (self.under_way > MAX_CALLS)
@@ -487,12 +487,12 @@ fn raw(body: &impl serde::Serialize) -> Result<Box<RawValue>, RpcError> {
     to_raw_value(body).map_err(|error| problem(error).into())
 }
 
-fn end_of(error: &WsError) -> End {
+fn end_of(error: &WsError) -> SocketEnd {
     match error {
-        WsError::Capacity(_) => End::Violation(CloseCode::Size, "message exceeds 64 KiB"),
-        WsError::Utf8(_) => End::Violation(CloseCode::Invalid, "text message is not valid UTF-8"),
-        WsError::Protocol(ProtocolError::ResetWithoutClosingHandshake) => End::Closed,
-        WsError::Protocol(_) => End::Violation(CloseCode::Protocol, "invalid WebSocket frame (RFC 6455)"),
-        _ => End::Closed,
+        WsError::Capacity(_) => SocketEnd::Violation(CloseCode::Size, "message exceeds 64 KiB"),
+        WsError::Utf8(_) => SocketEnd::Violation(CloseCode::Invalid, "text message is not valid UTF-8"),
+        WsError::Protocol(ProtocolError::ResetWithoutClosingHandshake) => SocketEnd::Closed,
+        WsError::Protocol(_) => SocketEnd::Violation(CloseCode::Protocol, "invalid WebSocket frame (RFC 6455)"),
+        _ => SocketEnd::Closed,
     }
 }

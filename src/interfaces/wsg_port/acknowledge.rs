@@ -44,10 +44,10 @@ impl AcknowledgeRight {
     }
 
     /// Whether the client may clear this FAST STOP. `is_held` is true if any client holds the lease.
-    pub(super) fn covers(&self, latch: &LatchFields, is_held: bool) -> bool {
+    pub(super) fn allows(&self, latch: &LatchFields, is_held: bool) -> bool {
         let is_held = is_held && !self.holds_lease;
         let id = Some(latch.fast_stop_id);
-        let is_cleared = match latch.fast_stop_cause {
+        let may_clear = match latch.fast_stop_cause {
             FastStopCause::Requested => false,
             FastStopCause::ClientLost => !is_held && latch.fast_stop_by == self.subject,
             // A person may have caused the FAST STOP at the gripper itself.
@@ -59,6 +59,6 @@ impl AcknowledgeRight {
             | FastStopCause::FingerFault
             | FastStopCause::SoftLimit => !is_held || self.seen == id,
         };
-        self.any || is_cleared || self.caused == id && latch.fast_stop_by == self.subject
+        self.any || may_clear || self.caused == id && latch.fast_stop_by == self.subject
     }
 }

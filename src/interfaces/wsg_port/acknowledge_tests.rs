@@ -112,17 +112,17 @@ fn fault_without_a_latch_is_passed_on() {
 #[test]
 fn fast_stop_behind_a_fault_is_judged_like_any_other() {
     let id = FastStopId::generate();
-    for (cause, is_cleared) in [(FastStopCause::UnannouncedDisconnect, true), (FastStopCause::Unknown, false)] {
+    for (cause, may_clear) in [(FastStopCause::UnannouncedDisconnect, true), (FastStopCause::Unknown, false)] {
         let mut bench = Bench { state: State { fault_code: 30, ..state() }, ..Bench::new() };
         bench.send(id::ACKNOWLEDGE_FAST_STOP, b"ack");
         let ask = bench.order().ask;
         bench.state = latched(id, cause);
         bench.answer(ask, PortReply::NoFault);
         let order = bench.device.poll_order().map(|ordered| ordered.order);
-        assert_eq!(order, is_cleared.then_some(PortOrder::Acknowledge(id)), "{cause:?}");
-        let refused = if is_cleared { vec![] } else { vec![(id::ACKNOWLEDGE_FAST_STOP, Status::E_ACCESS_DENIED)] };
+        assert_eq!(order, may_clear.then_some(PortOrder::Acknowledge(id)), "{cause:?}");
+        let refused = if may_clear { vec![] } else { vec![(id::ACKNOWLEDGE_FAST_STOP, Status::E_ACCESS_DENIED)] };
         assert_eq!(bench.sent(), refused, "{cause:?}");
-        assert!(is_cleared || !acknowledges(&mut bench), "a refusal does not show the FAST STOP");
+        assert!(may_clear || !acknowledges(&mut bench), "a refusal does not show the FAST STOP");
     }
 }
 

@@ -32,11 +32,11 @@ const READ_BYTES: usize = 1024;
 const TURN: u32 = 16;
 
 /// Time in which the first bytes of an evicted client must arrive.
-const FIRST_WORDS_WITHIN: Duration = Duration::from_millis(10);
+const FIRST_BYTES_WITHIN: Duration = Duration::from_millis(10);
 
 /// Time for a client to read its last replies at shutdown, and for its last FAST STOPs to be passed on after it has
 /// disconnected.
-const LAST_WORDS_WITHIN: Duration = Duration::from_millis(500);
+const LAST_REPLIES_WITHIN: Duration = Duration::from_millis(500);
 
 /// One client and its connection.
 pub(super) struct Served<R, W> {
@@ -90,7 +90,7 @@ enum Step {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum End {
+enum ClientEnd {
     /// The client has disconnected or is lost.
     Gone,
     /// The gateway shuts down.
@@ -132,9 +132,9 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
 
     /// Serves the client until it is gone, or until `closing`.
     pub(super) async fn run(mut self, closing: CancellationToken) {
-        if self.serve(&closing).await == End::Closing {
+        if self.serve(&closing).await == ClientEnd::Closing {
             // At shutdown, the gripper was released cleanly. The client must still learn how its last motion ended.
-            let _ = tokio::time::timeout(LAST_WORDS_WITHIN, self.finish()).await;
+            let _ = tokio::time::timeout(LAST_REPLIES_WITHIN, self.finish()).await;
             // After a reload, the gripper is still there.
             self.leave_lease().await;
             return;
@@ -143,7 +143,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             // The runtime may not have seen yet what an evicted client sent right after it connected, perhaps a FAST
             // STOP.
             let mut incoming = vec![0; READ_BYTES];
-            if let Ok(Ok(bytes)) = tokio::time::timeout(FIRST_WORDS_WITHIN, self.reader.read(&mut incoming)).await {
+            if let Ok(Ok(bytes)) = tokio::time::timeout(FIRST_BYTES_WITHIN, self.reader.read(&mut incoming)).await {
                 self.receive(incoming.get(..bytes).unwrap_or_default());
             }
         }
@@ -157,10 +157,10 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
         self.device.forget_waiting();
         self.leave_lease().await;
         // FAST STOPs of the client may still be waiting for their turn.
-        let _ = tokio::time::timeout(LAST_WORDS_WITHIN, self.finish_fast_stops()).await;
+        let _ = tokio::time::timeout(LAST_REPLIES_WITHIN, self.finish_fast_stops()).await;
     }
 
-    async fn serve(&mut self, closing: &CancellationToken) -> End {
+    async fn serve(&mut self, closing: &CancellationToken) -> ClientEnd {
         let mut incoming = vec![0; READ_BYTES];
         let mut states = self.port.gripper.states();
         let mut steps = 0;
@@ -171,7 +171,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             }
             self.start_orders();
             if self.device.has_overflown() || self.has_left() || self.is_forgotten() {
-                return End::Gone;
+                return ClientEnd::Gone;
             }
             if self.written == self.outgoing.len() {
                 self.written = 0;
@@ -187,31 +187,31 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             let deadline = self.device.poll_timeout(&state).into_iter().chain(silent_at).min();
             tokio::select! {
                 biased;
-                () = closing.cancelled() => return End::Closing,
+                () = closing.cancelled() => return ClientEnd::Closing,
                 () = self.permit.evicted(), if !holds_lease => {
                     if self.is_fresh {
-                        return End::Gone;
+                        return ClientEnd::Gone;
                     }
                     tracing::warn!(gripper = %self.port.gripper.name(), client = %self.client.subject,
                         "client evicted: silent longest, and a new client needs its slot");
-                    return End::Gone;
+                    return ClientEnd::Gone;
                 }
                 written = self.writer.write(self.outgoing.get(self.written..).unwrap_or_default()), if is_writing => {
                     match written {
                         Ok(bytes) if bytes > 0 => self.written += bytes,
-                        _ => return End::Gone,
+                        _ => return ClientEnd::Gone,
                     }
                 }
                 Some(step) = self.under_way.next() => self.take(step),
                 read = self.reader.read(&mut incoming) => match read {
                     Ok(bytes) if bytes > 0 => self.receive(incoming.get(..bytes).unwrap_or_default()),
-                    _ => return End::Gone,
+                    _ => return ClientEnd::Gone,
                 },
                 () = sleep_until(deadline) => {
                     let now = clock::instant();
                     if silent_at.is_some_and(|at| at <= now) {
                         if self.device.has_announced() {
-                            return End::Gone;
+                            return ClientEnd::Gone;
                         }
                         self.is_lost = true;
                         self.device.withdraw_motions();

@@ -231,7 +231,7 @@ impl VirtualDevice {
     /// Whether every new state matters: for updates on change, or because a motion waits for a Stop and a FAST STOP has
     /// to discard it.
     pub(super) fn watches(&self) -> bool {
-        self.subscriptions.watch() || self.holds_a_motion_back()
+        self.subscriptions.has_on_change() || self.holds_a_motion_back()
     }
 
     /// Whether the client has announced its disconnect, including in a waiting request.
@@ -418,7 +418,7 @@ impl VirtualDevice {
         let id = id::ACKNOWLEDGE_FAST_STOP;
         let is_held = state.lease_holder.is_some();
         match &state.latch {
-            Some(latch) if self.acknowledges.covers(latch, is_held) => {
+            Some(latch) if self.acknowledges.allows(latch, is_held) => {
                 self.order(id, true, PortOrder::Acknowledge(latch.fast_stop_id));
             }
             Some(_) => self.refuse(id, Status::E_ACCESS_DENIED, Cause::Acknowledge),

@@ -41,7 +41,7 @@ const MAX_WAITING_DATAGRAMS: usize = 32;
 const MAX_WARNED: usize = 64;
 
 /// A client and its task.
-struct Known {
+struct UdpClient {
     datagrams: mpsc::Sender<Vec<u8>>,
     /// Port that the client sends from.
     source: u16,
@@ -70,7 +70,7 @@ pub(super) async fn serve(
 ) -> Option<UdpSocket> {
     let (socket, admission) = (Arc::new(socket), port.admission());
     unreachable::report(&socket);
-    let (mut known, mut clients) = (HashMap::<SocketAddr, Known>::new(), JoinSet::new());
+    let (mut known, mut clients) = (HashMap::<SocketAddr, UdpClient>::new(), JoinSet::new());
     let (mut ignored, mut unheard) = (WarnedHosts::default(), WarnedHosts::default());
     let mut datagram = vec![0; MAX_DATAGRAM_BYTES];
     let gripper = port.gripper.name();
@@ -109,7 +109,7 @@ pub(super) async fn serve(
         let answered_at = SocketAddr::new(peer.ip(), reply_port.unwrap_or(peer.port()));
         let now = clock::instant();
         // After a silence, another source port means another program, which has not requested the client's updates.
-        let is_same = |client: &&mut Known| client.source == peer.port() || now < client.heard + lost_after;
+        let is_same = |client: &&mut UdpClient| client.source == peer.port() || now < client.heard + lost_after;
         let client = known.get_mut(&answered_at).filter(|client| !client.datagrams.is_closed()).filter(is_same);
         if let Some(client) = client {
             (client.source, client.heard, client.outage) = (peer.port(), now, Outage::default());
@@ -141,7 +141,7 @@ pub(super) async fn serve(
             Served::new(port.clone(), (port.client(peer.ip()), peer.ip()), permit, (reader, writer), Some(lost_after));
         clients.spawn(served.run(closing.clone()));
         let outage = Outage::default();
-        known.insert(answered_at, Known { datagrams: sender, source: peer.port(), heard: now, outage });
+        known.insert(answered_at, UdpClient { datagrams: sender, source: peer.port(), heard: now, outage });
     }
     while clients.join_next().await.is_some() {}
     Arc::into_inner(socket)

@@ -45,30 +45,30 @@ pub struct Clients {
     runtime: Handle,
     metrics: InterfaceMetrics,
     session: OnceLock<zenoh::Session>,
-    known: Mutex<Known>,
+    known: Mutex<KnownClients>,
 }
 
 #[derive(Debug, Default)]
-struct Known {
+struct KnownClients {
     tokens: HashMap<String, Connected>,
     /// Sessions that are directly connected to the gateway. Zenoh's `transport/unicast/max_sessions` bounds their
     /// number.
     sessions: HashSet<ZenohId>,
     /// The newest lease of each gripper that was taken via Zenoh.
-    leases: HashMap<Name, Bound>,
+    leases: HashMap<Name, BoundLease>,
 }
 
 #[derive(Debug)]
-struct Bound {
+struct BoundLease {
     bond: Option<Bond>,
     taken: Arc<ConnectionLease>,
-    places: Places,
+    slots: QuerySlots,
 }
 
 /// Separate slots for one lease holder's queries: those that wait for a command's end, those that only stop, and
 /// others.
 #[derive(Debug, Clone, Default)]
-pub struct Places {
+pub struct QuerySlots {
     pub waiting: Option<Arc<Semaphore>>,
     pub stops: Option<Arc<Semaphore>>,
     pub others: Option<Arc<Semaphore>>,
@@ -93,7 +93,7 @@ impl Bond {
     }
 }
 
-impl Known {
+impl KnownClients {
     fn has(&self, bond: &Bond) -> bool {
         match bond {
             Bond::Session(zid) => self.sessions.contains(zid),
@@ -101,7 +101,7 @@ impl Known {
         }
     }
 
-    fn lease(&self, gripper: &str, token: &str) -> Option<&Bound> {
+    fn lease(&self, gripper: &str, token: &str) -> Option<&BoundLease> {
         let bound = self.leases.get(&gripper.parse::<Name>().ok()?)?;
         bound.taken.is(token).then_some(bound)
     }
@@ -165,13 +165,13 @@ impl Clients {
     /// Whether this token belongs to a bound lease. Open queries keep a bound lease alive until its bond ends.
     pub fn has_bound(&self, gripper: &str, token: &str) -> bool {
         let known = self.known();
-        let is_bound = |bound: &Bound| bound.bond.as_ref().is_some_and(|bond| known.has(bond));
+        let is_bound = |bound: &BoundLease| bound.bond.as_ref().is_some_and(|bond| known.has(bond));
         known.lease(gripper, token).is_some_and(is_bound)
     }
 
     /// Returns the slots of the lease with this token, if it is the gripper's newest lease taken via Zenoh.
-    pub fn places_of(&self, gripper: &str, token: &str) -> Option<Places> {
-        self.known().lease(gripper, token).map(|bound| bound.places.clone())
+    pub fn slots_of(&self, gripper: &str, token: &str) -> Option<QuerySlots> {
+        self.known().lease(gripper, token).map(|bound| bound.slots.clone())
     }
 
     /// Tracks a lease that was just taken. Without a bond, the lease expires without use. If its bond has ended since
@@ -184,9 +184,9 @@ impl Clients {
             return;
         }
         let taken = if bond.is_some() { taken } else { Arc::new(taken.without_keep()) };
-        let [waiting, stops, others] = [MAX_QUERIES; 3].map(|places| Some(Arc::new(Semaphore::new(places))));
-        let places = Places { waiting, stops, others };
-        known.leases.insert(taken.gripper().clone(), Bound { bond, taken, places });
+        let [waiting, stops, others] = [MAX_QUERIES; 3].map(|slots| Some(Arc::new(Semaphore::new(slots))));
+        let slots = QuerySlots { waiting, stops, others };
+        known.leases.insert(taken.gripper().clone(), BoundLease { bond, taken, slots });
     }
 
     fn connection(&self, zid: ZenohId, kind: SampleKind) {
@@ -226,7 +226,7 @@ impl Clients {
         found.recv_async().await.is_ok_and(|reply| reply.result().is_ok())
     }
 
-    fn end(&self, mut known: std::sync::MutexGuard<'_, Known>, bond: &Bond) {
+    fn end(&self, mut known: std::sync::MutexGuard<'_, KnownClients>, bond: &Bond) {
         for (_, bound) in known.leases.extract_if(|_, bound| bound.bond.as_ref() == Some(bond)) {
             self.lose(bound.taken);
         }
@@ -236,7 +236,7 @@ impl Clients {
         self.runtime.spawn(async move { taken.lose(LossCause::Disconnected).await });
     }
 
-    fn known(&self) -> std::sync::MutexGuard<'_, Known> {
+    fn known(&self) -> std::sync::MutexGuard<'_, KnownClients> {
         self.known.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

@@ -69,11 +69,11 @@ impl Connectivity {
             // A connection that is re-established at once is not reported.
             let is_just_lost = std::mem::replace(&mut was_connected, unconnected.is_none()) && unconnected.is_some();
             if missing.is_empty() && unconnected.is_none() {
-                say(network, None);
+                report_connection(network, None);
             } else if looks_after >= TAKES_LONG && !is_just_lost {
                 let mut causes = self.why_not_at(missing.into_iter().map(ToOwned::to_owned).collect()).await;
                 causes.extend(unconnected);
-                say(network, Some(causes.join("; ")));
+                report_connection(network, Some(causes.join("; ")));
             }
             tokio::time::sleep(looks_after).await;
             looks_after = (looks_after * 2).min(LOOKS_EVERY);
@@ -113,7 +113,7 @@ impl Connectivity {
 }
 
 /// Logs and publishes a change of Zenoh's connection state; `None` means connected.
-pub fn say(network: &Peers, cause: Option<String>) {
+pub fn report_connection(network: &Peers, cause: Option<String>) {
     if *network.cause().borrow() != cause {
         if let Some(cause) = &cause {
             tracing::warn!(cause, "Zenoh connection degraded; retrying");

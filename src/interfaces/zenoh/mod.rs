@@ -125,7 +125,7 @@ impl Declarations {
             }
             let queryables = self.queries.declare_gripper(session, handle.name()).await?;
             let publications = Publications::declare(session, &self.keys, &handle).await?;
-            let publishing = context.runtimes.observers.spawn(publications.tell(context.clone(), self.max_hz));
+            let publishing = context.runtimes.observers.spawn(publications.run(context.clone(), self.max_hz));
             let publishing = AbortOnDropHandle::new(publishing);
             self.grippers.push(GripperDeclarations { handle, _queryables: queryables, _publishing: publishing });
         }
@@ -146,7 +146,7 @@ async fn declare(session: &zenoh::Session, context: &Context, max_hz: u32) -> ze
     queries.declare(session).await?;
     let mut tasks = JoinSet::new();
     tasks.spawn(gateway.peers.watch_twins(session));
-    tasks.spawn_on(publications::tell_events(session.clone(), keys.clone(), context.clone()), &runtimes.observers);
+    tasks.spawn_on(publications::publish_events(session.clone(), keys.clone(), context.clone()), &runtimes.observers);
     let mut declared = Declarations { keys, queries, grippers: Vec::new(), max_hz, alive, _tasks: tasks };
     declared.declare_grippers(session, context).await?;
     // Others see the gateway only now that it answers.

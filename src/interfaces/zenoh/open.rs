@@ -5,7 +5,7 @@ use std::time::Duration;
 use tokio::sync::oneshot;
 use zenoh::Wait as _;
 
-use super::connectivity::{Connectivity, say};
+use super::connectivity::{Connectivity, report_connection};
 use crate::fleet::Peers;
 
 /// First and longest pause before Zenoh is opened again after a failure.
@@ -26,7 +26,7 @@ impl OpenSession {
         loop {
             match Self::try_open(connectivity).await {
                 Ok(open) => return open,
-                Err(error) => say(network, Some(format!("Zenoh could not be opened: {error}"))),
+                Err(error) => report_connection(network, Some(format!("Zenoh could not be opened: {error}"))),
             }
             tokio::time::sleep(again_after).await;
             again_after = (again_after * 2).min(OPENED_AGAIN_AT_LEAST_EVERY);

@@ -20,7 +20,7 @@ use crate::journal::{Filter, Stored, StreamItem};
 
 /// Interval at which an unchanged state is repeated. Subscribers can detect a lost gateway by its silence, and a
 /// dropped state is replaced.
-const TOLD_EVERY: Duration = Duration::from_millis(500);
+const REPEATED_EVERY: Duration = Duration::from_millis(500);
 
 const READ_RETRY_PAUSE: Duration = Duration::from_secs(1);
 
@@ -56,11 +56,11 @@ impl Publications {
     }
 
     /// Publishes states and telemetry at `max_hz` at most, until the gateway closes.
-    pub async fn tell(mut self, context: Context, max_hz: u32) {
+    pub async fn run(mut self, context: Context, max_hz: u32) {
         let only = BTreeSet::from([self.handle.name().clone()]);
         let mut updates = context.gateway.updates.subscribe(Some(&only), [Topic::Telemetry]);
         let mut pace = Pace::new(max_hz);
-        let mut unchanged = interval(TOLD_EVERY);
+        let mut unchanged = interval(REPEATED_EVERY);
         unchanged.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
             tokio::select! {
@@ -121,7 +121,7 @@ fn publish(publisher: &Publisher<'_>, notification: &Notification) {
 }
 
 /// Publishes all events from now on, in order and once they are durable, until the gateway closes.
-pub async fn tell_events(session: zenoh::Session, keys: ZenohKeys, context: Context) {
+pub async fn publish_events(session: zenoh::Session, keys: ZenohKeys, context: Context) {
     let mut events = context.gateway.journal.follow(None, Filter::default());
     loop {
         let event = tokio::select! {

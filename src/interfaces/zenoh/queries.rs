@@ -68,22 +68,22 @@ pub struct Queries {
     clients: Arc<Clients>,
     metrics: InterfaceMetrics,
     runtime: Handle,
-    places: Arc<Semaphore>,
+    slots: Arc<Semaphore>,
     /// Slots of queries that can wait for a command's end.
-    waiting_places: Arc<Semaphore>,
+    waiting_slots: Arc<Semaphore>,
     /// Slots of queries that only stop, and can wait for a standstill.
-    stop_places: Arc<Semaphore>,
+    stop_slots: Arc<Semaphore>,
     /// Slots of queries that keep or end a lease, and wait for nothing.
-    lease_places: Arc<Semaphore>,
+    lease_slots: Arc<Semaphore>,
     /// Slots of reads of events, grip records and readiness.
-    record_places: Arc<Semaphore>,
-    fast_stop_places: Mutex<BTreeMap<Name, Arc<Semaphore>>>,
+    record_slots: Arc<Semaphore>,
+    fast_stop_slots: Mutex<BTreeMap<Name, Arc<Semaphore>>>,
     /// Slots of FAST STOPs that name no gripper.
-    fast_stop_all_places: Arc<Semaphore>,
+    fast_stop_all_slots: Arc<Semaphore>,
 }
 
 #[derive(Debug)]
-struct Asked {
+struct ParsedQuery {
     key: String,
     method: String,
     params: Map<String, Value>,
@@ -101,21 +101,21 @@ impl Queries {
     /// Returns queryables that run on the caller's runtime.
     pub fn new(keys: ZenohKeys, gateway: &Arc<Gateway>, clients: Arc<Clients>, metrics: InterfaceMetrics) -> Self {
         let runtime = Handle::current();
-        let semaphore = |places| Arc::new(Semaphore::new(places));
-        let [places, waiting_places, stop_places, lease_places] = [MAX_QUERIES; 4].map(semaphore);
+        let semaphore = |slots| Arc::new(Semaphore::new(slots));
+        let [slots, waiting_slots, stop_slots, lease_slots] = [MAX_QUERIES; 4].map(semaphore);
         Self {
             keys,
             gateway: gateway.clone(),
             clients,
             metrics,
             runtime,
-            places,
-            waiting_places,
-            stop_places,
-            lease_places,
-            record_places: semaphore(MAX_RECORD_READS),
-            fast_stop_places: Mutex::default(),
-            fast_stop_all_places: semaphore(MAX_FAST_STOPS),
+            slots,
+            waiting_slots,
+            stop_slots,
+            lease_slots,
+            record_slots: semaphore(MAX_RECORD_READS),
+            fast_stop_slots: Mutex::default(),
+            fast_stop_all_slots: semaphore(MAX_FAST_STOPS),
         }
     }
 
@@ -155,7 +155,7 @@ impl Queries {
     }
 
     fn read(self: &Arc<Self>, query: Query, key: String, what: &'static str, params: Map<String, Value>) {
-        let asked = Asked {
+        let asked = ParsedQuery {
             key,
             method: what.to_owned(),
             params,
@@ -171,7 +171,7 @@ impl Queries {
 
     /// Answers a read of the gateway as a whole.
     fn of_gateway(self: &Arc<Self>, query: Query, what: &'static str) {
-        let Ok(place) = self.record_places.clone().try_acquire_owned() else {
+        let Ok(place) = self.record_slots.clone().try_acquire_owned() else {
             let detail = format!("too many reads of records ({MAX_RECORD_READS} in progress): try again later");
             return self.reply(query, None, Err(Problem::new(Code::Overloaded, detail)), None);
         };
@@ -208,7 +208,7 @@ impl Queries {
     }
 
     /// Parses a query for a command. A FAST STOP is accepted whatever its parameters.
-    fn asked(&self, query: &Query, gripper: Option<&Name>) -> Result<Asked, Problem> {
+    fn asked(&self, query: &Query, gripper: Option<&Name>) -> Result<ParsedQuery, Problem> {
         let method = last_part(query.key_expr().as_str()).to_owned();
         let is_fast_stop = is_fast_stop(&method);
         let key = self.keys.command(gripper, &method);
@@ -243,7 +243,7 @@ impl Queries {
             }
         }
         let zid = given(ZID).filter(|_| method == lease::TAKE.name).map(|zid| session_id(&zid)).transpose()?;
-        Ok(Asked {
+        Ok(ParsedQuery {
             key,
             method,
             params,
@@ -258,9 +258,9 @@ impl Queries {
     }
 
     /// Answers a query, or refuses it if too many are in progress.
-    fn answer(self: &Arc<Self>, query: Query, asked: Result<Asked, Problem>) {
-        let places = asked.as_ref().map_or_else(|_| self.places.clone(), |asked| self.places_for(asked));
-        let Ok(place) = places.try_acquire_owned() else {
+    fn answer(self: &Arc<Self>, query: Query, asked: Result<ParsedQuery, Problem>) {
+        let slots = asked.as_ref().map_or_else(|_| self.slots.clone(), |asked| self.slots_for(asked));
+        let Ok(place) = slots.try_acquire_owned() else {
             tracing::warn!(key = %query.key_expr(), "Zenoh query refused: too many in progress");
             let detail = format!("too many Zenoh queries ({MAX_QUERIES} in progress): wait for their replies");
             self.reply(query, None, Err(Problem::new(Code::Overloaded, detail)), None);
@@ -278,29 +278,29 @@ impl Queries {
 
     /// Returns the slots for a query. Queries that wait, queries that don't, and FAST STOPs have separate slots. The
     /// holder of a lease that was taken via Zenoh has slots of its own.
-    fn places_for(&self, asked: &Asked) -> Arc<Semaphore> {
+    fn slots_for(&self, asked: &ParsedQuery) -> Arc<Semaphore> {
         let gripper = asked.params.get(GRIPPER).and_then(Value::as_str).unwrap_or_default();
-        let holders = asked.lease().and_then(|lease| self.clients.places_of(gripper, lease)).unwrap_or_default();
+        let holders = asked.lease().and_then(|lease| self.clients.slots_of(gripper, lease)).unwrap_or_default();
         let is_command = named(&asked.method).any(|operation| operation.starts_command);
         let (holders, all) = match urgency(&asked.method) {
             Urgency::FastStop => {
                 let name = gripper.parse().ok().filter(|name| self.gateway.grippers.get(name).is_some());
-                let Some(name) = name else { return self.fast_stop_all_places.clone() };
-                let mut places = self.fast_stop_places.lock().unwrap_or_else(PoisonError::into_inner);
-                return places.entry(name).or_insert_with(|| Arc::new(Semaphore::new(MAX_FAST_STOPS))).clone();
+                let Some(name) = name else { return self.fast_stop_all_slots.clone() };
+                let mut slots = self.fast_stop_slots.lock().unwrap_or_else(PoisonError::into_inner);
+                return slots.entry(name).or_insert_with(|| Arc::new(Semaphore::new(MAX_FAST_STOPS))).clone();
             }
-            Urgency::Stop => (holders.stops, &self.stop_places),
-            Urgency::Lease => (holders.others, &self.lease_places),
-            Urgency::None if RECORD_READS.contains(&asked.method.as_str()) => return self.record_places.clone(),
-            Urgency::None if asked.wait_ms.is_some() || is_command => (holders.waiting, &self.waiting_places),
-            Urgency::None => (holders.others, &self.places),
+            Urgency::Stop => (holders.stops, &self.stop_slots),
+            Urgency::Lease => (holders.others, &self.lease_slots),
+            Urgency::None if RECORD_READS.contains(&asked.method.as_str()) => return self.record_slots.clone(),
+            Urgency::None if asked.wait_ms.is_some() || is_command => (holders.waiting, &self.waiting_slots),
+            Urgency::None => (holders.others, &self.slots),
         };
         holders.unwrap_or_else(|| all.clone())
     }
 
-    async fn call(&self, asked: Asked) -> Result<Box<RawValue>, Problem> {
+    async fn call(&self, asked: ParsedQuery) -> Result<Box<RawValue>, Problem> {
         let caller = self.caller(&asked);
-        let Asked { method, params, zid, .. } = asked;
+        let ParsedQuery { method, params, zid, .. } = asked;
         let bond = if method == lease::TAKE.name { self.clients.bond(holder(&params), zid).await } else { None };
         let result = operations::call(&self.gateway, caller, &method, Value::Object(params)).await;
         let status = result.as_ref().map_or_else(|problem| problem.status().as_u16(), |_| 200);
@@ -312,7 +312,7 @@ impl Queries {
         Ok(with_bond.unwrap_or(body))
     }
 
-    fn caller(&self, asked: &Asked) -> Caller {
+    fn caller(&self, asked: &ParsedQuery) -> Caller {
         let lease = asked.lease.as_deref().map(|given| text::<MAX_LEASE_BYTES>(LEASE, given)).transpose();
         let request_id = asked.request_id.as_deref().map(|given| text(REQUEST_ID, given)).transpose();
         let identity = self.identity(asked);
@@ -330,7 +330,7 @@ impl Queries {
 
     /// Returns the rights of a client: those of its token, or else those of the Zenoh network, which has an access control
     /// of its own.
-    fn identity(&self, asked: &Asked) -> Result<Identity, Unauthorized> {
+    fn identity(&self, asked: &ParsedQuery) -> Result<Identity, Unauthorized> {
         match &asked.credential {
             // A wrong token must not prevent a FAST STOP that needs none on this network.
             _ if is_fast_stop(&asked.method) => Ok(self.gateway.access.of_network()),
@@ -341,7 +341,7 @@ impl Queries {
 
     /// Returns whether the client's loss would be noticed. Zenoh reports only the end of a client's session or token,
     /// not that the client of an open query is gone.
-    fn presence(&self, asked: &Asked) -> Presence {
+    fn presence(&self, asked: &ParsedQuery) -> Presence {
         let gripper = asked.params.get(GRIPPER).and_then(Value::as_str);
         let is_seen = gripper.zip(asked.lease()).is_some_and(|(gripper, lease)| self.clients.has_bound(gripper, lease));
         if is_seen { Presence::Seen } else { Presence::Unseen }
@@ -395,7 +395,7 @@ fn problem_json(problem: &Problem) -> String {
     serde_json::to_string(problem).unwrap_or_default()
 }
 
-impl Asked {
+impl ParsedQuery {
     fn lease(&self) -> Option<&str> {
         let field = self.params.get(LEASE).and_then(Value::as_str);
         field.or(self.lease.as_deref())
@@ -431,8 +431,8 @@ mod tests {
     use super::*;
     use crate::gripper::fake::{self, FakeScript};
 
-    fn asked(gripper: &str, method: &str, wait_ms: Option<&str>) -> Asked {
-        Asked {
+    fn asked(gripper: &str, method: &str, wait_ms: Option<&str>) -> ParsedQuery {
+        ParsedQuery {
             key: String::new(),
             method: method.to_owned(),
             params: Map::from_iter([("gripper".to_owned(), gripper.into())]),
@@ -467,11 +467,11 @@ mod tests {
         // Queries of one lane share slots.
         let lane_of = [0, 0, 1, 2, 2, 3, 4, 5, 6];
         for (asked, lane) in lanes.iter().zip(lane_of) {
-            let places = queries.places_for(asked);
-            let all: Vec<_> = std::iter::from_fn(|| places.clone().try_acquire_owned().ok()).collect();
+            let slots = queries.slots_for(asked);
+            let all: Vec<_> = std::iter::from_fn(|| slots.clone().try_acquire_owned().ok()).collect();
             assert!(!all.is_empty() && all.len() <= MAX_QUERIES.max(MAX_FAST_STOPS), "{}", asked.method);
             for (other, other_lane) in lanes.iter().zip(lane_of) {
-                let has_place = queries.places_for(other).try_acquire_owned().is_ok();
+                let has_place = queries.slots_for(other).try_acquire_owned().is_ok();
                 assert_eq!(has_place, lane != other_lane, "{} while {} has all", other.method, asked.method);
             }
         }

@@ -61,7 +61,7 @@ async fn forward_page_has_a_cursor_for_later_records() {
         assert!(kept(&journal, link(number, "left")).await);
     }
     assert_eq!(resume(&query).await.as_deref(), Some("3"));
-    let later = EventQuery { cursor: Some(Cursor::behind(3)), ..query.clone() };
+    let later = EventQuery { cursor: Some(Cursor::after(3)), ..query.clone() };
     assert_eq!(resume(&later).await.as_deref(), Some("3"));
     // Only commands have a part, so this query reads nothing.
     let part_id = PartId::new("P-1");

@@ -8,7 +8,7 @@ use rustix::time::{ClockId, clock_gettime};
 use super::super::chain::{Chain, Tip};
 use super::super::query::{ChainKind, page};
 use super::super::row::{Row, milliseconds};
-use super::super::store::{Memories, Store};
+use super::super::store::{PersistedValues, Store};
 use super::*;
 use crate::gripper::model::{AlarmCause, AlarmEvent, AlarmId, AlarmKind, AlarmStep};
 
@@ -133,7 +133,7 @@ fn fill(store: &mut Store, count: u32) -> (Vec<Known<EventKind>>, Vec<Known<Kind
             rows.push(row);
         }
     }
-    store.commit(&rows, &Memories::new()).unwrap();
+    store.commit(&rows, &PersistedValues::new()).unwrap();
     (events, grips)
 }
 

@@ -58,7 +58,7 @@ async fn old_records_are_removed_and_the_rest_stays_proved() {
     removed(&journal, 600).await;
     // A follower that resumes after a removed event gets the number of missed ones.
     let mut follow = journal.follow(Some(10), Filter { gripper: Some(name("left")), ..Filter::default() });
-    assert_eq!(follow.next().await.unwrap(), Some(StreamItem::Removed { behind: 10, missed: 590 }));
+    assert_eq!(follow.next().await.unwrap(), Some(StreamItem::Removed { after: 10, missed: 590 }));
     for mut follow in [follow, journal.follow(Some(600), Filter::default())] {
         let next = follow.next().await.unwrap();
         assert!(matches!(&next, Some(StreamItem::Event(event)) if event.seq == 601), "{next:?}");
@@ -146,7 +146,10 @@ async fn unattested_removal_is_found() {
     assert_eq!(found, ["anchors events"]);
     tamper.execute_batch("DELETE FROM events WHERE seq IN (7, 8)").unwrap();
     let findings = verify(&directory.journal()).unwrap().findings;
-    assert!(findings.iter().any(|finding| finding.to_string() == "events 7: missing; the next record found is 9"), "{findings:?}");
+    assert!(
+        findings.iter().any(|finding| finding.to_string() == "events 7: missing; the next record found is 9"),
+        "{findings:?}"
+    );
 }
 
 #[tokio::test]

@@ -2,7 +2,7 @@
 
 use super::super::source::Source;
 use super::super::statistics::{SHARED_FROM, statistics};
-use super::super::store::{Memories, Store};
+use super::super::store::{PersistedValues, Store};
 use super::super::{Distribution, GripStatistics, StatisticsQuery};
 use super::super::{chain::Tip, row::Row};
 use super::*;
@@ -37,7 +37,7 @@ fn two_threads_compute_the_same() {
         end = row.tip;
         rows.push(row);
     }
-    store.commit(&rows, &Memories::new()).unwrap();
+    store.commit(&rows, &PersistedValues::new()).unwrap();
     let source: &Source = &store.source;
     for query in [None, Some("A"), Some("B"), Some("none")]
         .into_iter()

@@ -43,7 +43,7 @@ impl Walk {
     /// Walks along all records of a chain.
     pub(super) fn all(connection: &Connection, chain: Chain) -> rusqlite::Result<Self> {
         // Records before the anchor should have been removed, so they are findings.
-        Ok(Self { after: i64::MIN, ..Self::behind(chain, anchor(connection, chain)?) })
+        Ok(Self { after: i64::MIN, ..Self::after_tip(chain, anchor(connection, chain)?) })
     }
 
     /// Walks along the newest records of a chain.
@@ -51,12 +51,12 @@ impl Walk {
         let sql = format!("SELECT seq, hash FROM {} ORDER BY seq DESC LIMIT 1 OFFSET ?", chain.name());
         let tip = connection.query_row(&sql, [records], |row| Ok(Tip { seq: row.get(0)?, hash: row.get(1)? }));
         match tip.optional()? {
-            Some(tip) => Ok(Self::behind(chain, tip)),
+            Some(tip) => Ok(Self::after_tip(chain, tip)),
             None => Self::all(connection, chain),
         }
     }
 
-    fn behind(chain: Chain, tip: Tip) -> Self {
+    fn after_tip(chain: Chain, tip: Tip) -> Self {
         Self { chain, seq: tip.seq, hashes: vec![tip.hash], after: tip.seq, span: None, broken: false }
     }
 
@@ -99,7 +99,7 @@ impl Walk {
                 // Only commands that had ended were removed.
                 verifier.running.retain(|_, seq| *seq > anchor.seq);
             }
-            *self = Self::behind(self.chain, anchor);
+            *self = Self::after_tip(self.chain, anchor);
         }
     }
 }

@@ -3,7 +3,7 @@
 use crate::wsg::Status;
 
 use super::super::axis::{AxisDirection, Drive, Progress};
-use super::super::grip::Grown;
+use super::super::grip::GripProgress;
 use super::{Activity, BLOCK_STEPS, Mechanics, StepOutcome, TIMEOUT_STEPS};
 
 /// Distance in mm by which the fingers back off after they found the end stop.
@@ -82,19 +82,19 @@ impl Mechanics {
         }
     }
 
-    pub(super) fn end_of_grip(&mut self, grown: Grown) -> Option<StepOutcome> {
+    pub(super) fn end_of_grip(&mut self, grown: GripProgress) -> Option<StepOutcome> {
         match grown {
-            Grown::NotYet { pressing } => {
+            GripProgress::NotYet { pressing } => {
                 self.blocked = pressing;
                 None
             }
-            Grown::Held(hold) => {
+            GripProgress::Held(hold) => {
                 self.blocked = Some(hold.direction());
                 self.steady = true;
                 self.activity = Activity::Hold(hold);
                 Some(StepOutcome::Finished(Status::E_SUCCESS))
             }
-            Grown::Nothing { blocked } => {
+            GripProgress::Nothing { blocked } => {
                 self.rest();
                 self.blocked = blocked;
                 Some(StepOutcome::Finished(Status::E_CMD_FAILED))

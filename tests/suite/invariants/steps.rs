@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use tokio::sync::oneshot;
-use wsg_gateway::gripper::handle::{ActorRequest, Answer, FastStopRequest};
+use wsg_gateway::gripper::handle::{ActorRequest, FastStopRequest, ResultSender};
 use wsg_gateway::gripper::model::{
     Action, Client, CommandReport, Door, FastStopCause, FastStopId, LatchFields, Motion, Outcome, Phase, Reason,
     RequestId, State, Submission,
@@ -123,7 +123,7 @@ pub fn fast_stop(world: &mut World) -> FastStopId {
 pub fn acknowledge(world: &mut World, id: FastStopId) -> oneshot::Receiver<Result<(), Rejection>> {
     // The only acknowledge in these tests; any other is a violation.
     world.invariants.acknowledge_taken();
-    request(world, |answer: Answer<()>| ActorRequest::Acknowledge { id, client: client(), answer })
+    request(world, |answer: ResultSender<()>| ActorRequest::Acknowledge { id, client: client(), answer })
 }
 
 pub fn exchange(world: &mut World, command: wsg::Command) -> oneshot::Receiver<Result<wsg::Data, Rejection>> {

@@ -8,7 +8,7 @@ use tokio::sync::oneshot;
 
 use super::*;
 use crate::gripper::error::Rejection;
-use crate::gripper::handle::Answer;
+use crate::gripper::handle::ResultSender;
 use crate::gripper::model::{Client, Door, FastStopCause, FastStopId, Reason, State, UpdateMode};
 use crate::wsg::{Status, SystemState, frame};
 
@@ -159,7 +159,10 @@ impl Rig {
         self.exchange();
     }
 
-    fn request<T>(&mut self, make: impl FnOnce(Answer<T>) -> ActorRequest) -> oneshot::Receiver<Result<T, Rejection>> {
+    fn request<T>(
+        &mut self,
+        make: impl FnOnce(ResultSender<T>) -> ActorRequest,
+    ) -> oneshot::Receiver<Result<T, Rejection>> {
         let (answer, answered) = oneshot::channel();
         self.actor.request(self.now, make(answer));
         self.exchange();

@@ -2,7 +2,7 @@
 
 import { html, render, signal, useEffect } from './lib.js';
 import { LANGUAGES, language, t } from './model/i18n.js';
-import { isStranger, mayOperate, recognize } from './model/me.js';
+import { mustSignIn, mayOperate, recognize } from './model/me.js';
 import { MAX_NAME_BYTES, myName, rename } from './model/name.js';
 import { theme } from './model/prefs.js';
 import { gripper, isLive, selected, view, VIEWS } from './model/store.js';
@@ -14,7 +14,7 @@ import { go, start } from './ui/route.js';
 import { SignedIn, SignIn } from './ui/signin.js';
 
 function Views() {
-  if (isStranger.value) return null;
+  if (mustSignIn.value) return null;
   return html`<nav class="views" aria-label=${t('nav.label')}>
     ${VIEWS.map(
       (name) => html`<button type="button" key=${name} data-view=${name}
@@ -81,7 +81,7 @@ function Main() {
     if (document.hidden) fetchLater();
     else requestAnimationFrame(fetchLater);
   }, [isKnown]);
-  if (isStranger.value) return html`<${SignIn} />`;
+  if (mustSignIn.value) return html`<${SignIn} />`;
   if (!one)
     return html`<main class="waiting"><p>${
       isLive.value && selected.value

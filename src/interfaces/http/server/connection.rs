@@ -26,8 +26,8 @@ use tower::ServiceExt;
 use super::super::context::HttpContext;
 use super::super::fast_stop::is_fast_stop;
 use super::super::handshakes::Handshakes;
-use super::super::home::Home;
 use super::super::operation::Compact;
+use super::super::runtime_mover::RuntimeMover;
 use super::super::settings::HttpSettings;
 use super::super::visitor::{Identified, cookie_name};
 use super::inspection::Begun;
@@ -98,7 +98,7 @@ impl Server {
             server: self.clone(),
             origin: ClientOrigin { certificate, ..peer.ip().into() },
             permit: permit.clone(),
-            home: Home::new(moves),
+            mover: RuntimeMover::new(moves),
             pace: Arc::default(),
             has_served: Arc::default(),
         };
@@ -138,8 +138,8 @@ impl Connection {
                 ended = self.http.as_mut() => ended,
                 () = self.permit.evicted() => self.leave().await,
                 Ok(()) = self.home.changed() => {
-                    let home = self.home.borrow_and_update().clone();
-                    drop(home.spawn(self.run()));
+                    let runtime = self.home.borrow_and_update().clone();
+                    drop(runtime.spawn(self.run()));
                     return;
                 }
             };
@@ -173,7 +173,7 @@ struct Requests {
     server: Arc<Server>,
     origin: ClientOrigin,
     permit: Arc<ConnectionPermit>,
-    home: Home,
+    mover: RuntimeMover,
     pace: Arc<RequestPace>,
     /// Whether a request has arrived.
     has_served: Arc<AtomicBool>,
@@ -187,7 +187,7 @@ impl Service<Request<Incoming>> for Requests {
     fn call(&self, mut request: Request<Incoming>) -> Self::Future {
         // A connection that continues after its first FAST STOP is treated like all others.
         if self.has_served.swap(true, Ordering::Relaxed) || !is_fast_stop(&request) {
-            self.home.leave(&self.server.context.runtimes.accept, &self.server.context.runtimes.requests);
+            self.mover.leave(&self.server.context.runtimes.accept, &self.server.context.runtimes.requests);
         }
         if !request.body().is_end_stream() {
             self.permit.receiving();
@@ -200,7 +200,7 @@ impl Service<Request<Incoming>> for Requests {
         let extensions = request.extensions_mut();
         extensions.insert(identified);
         extensions.insert(self.permit.clone());
-        extensions.insert(self.home.clone());
+        extensions.insert(self.mover.clone());
         extensions.insert(self.pace.clone());
         let response = self.server.router.clone().oneshot(request.map(Body::new));
         response.map_ok(move |response| with_headers(response, &settings)).boxed()

@@ -42,7 +42,7 @@ const IDLE_LIMIT: Duration = Duration::from_mins(1);
 const TURN: u32 = 16;
 
 /// Time in which the first bytes of an evicted client must arrive.
-const FIRST_WORDS_WITHIN: Duration = Duration::from_millis(10);
+const FIRST_BYTES_WITHIN: Duration = Duration::from_millis(10);
 
 /// Maximum number of requests that are searched for a FAST STOP after their client is gone.
 const MAX_LAST_REQUESTS: usize = 256;
@@ -142,7 +142,7 @@ impl ModbusConnection {
 
     /// Performs the FAST STOPs among the last requests that the client sent before it disconnected.
     async fn take_last_fast_stops(&mut self) {
-        let mut waits = if self.is_fresh { FIRST_WORDS_WITHIN } else { Duration::ZERO };
+        let mut waits = if self.is_fresh { FIRST_BYTES_WITHIN } else { Duration::ZERO };
         for _ in 0..MAX_LAST_REQUESTS {
             let Ok(Some(Ok(frame))) = timeout(waits, self.frames.next()).await else { return };
             waits = Duration::ZERO;

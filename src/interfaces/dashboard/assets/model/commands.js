@@ -39,12 +39,12 @@ const REPORTED_WITHIN_MS = 300;
 
 /** Starts a motion. The controls stay disabled until the state reports it. */
 export async function move(one, method, params) {
-  one.isAsked.value = true;
+  one.isMotionRequested.value = true;
   const command = await ask(one, method, params);
   if (command) one.command.value = command;
   setTimeout(
     () => {
-      one.isAsked.value = false;
+      one.isMotionRequested.value = false;
     },
     command ? REPORTED_WITHIN_MS : 0,
   );
@@ -60,7 +60,7 @@ const terms = () => ({
 /** Takes control for as long as this page answers. `force` takes it from another holder; `request` asks for it. */
 export async function takeControl(one, { force = false, request = false } = {}) {
   // Set before the request, because control can be handed over before the answer arrives.
-  if (request) one.isAsking.value = true;
+  if (request) one.isControlRequested.value = true;
   const take = one.asking('lease');
   const lease = await askFreely(one, 'lease.take', { ...terms(), force, request });
   // Without a token in the reply, the request waits for the holder.
@@ -72,7 +72,7 @@ export async function takeControl(one, { force = false, request = false } = {}) 
   if (lease?.place && !isFirst) {
     one.problem.value = { code: 'lease_asked', holder: lease.requested_by, detail: '' };
   }
-  if (!isFirst) one.isAsking.value = false;
+  if (!isFirst) one.isControlRequested.value = false;
   return lease;
 }
 

@@ -47,7 +47,7 @@ function takeLoss({ event, holder, epoch, cause }, one) {
 /** Ends a request for control, and takes control if it was handed over to this page. */
 function takeAnswer({ event, holder }, one) {
   if (event === 'requested') return;
-  one.isAsking.value = false;
+  one.isControlRequested.value = false;
   if (event === 'handed_over' && holder === myName.peek()) takeControl(one);
 }
 
@@ -64,9 +64,9 @@ export function catchUp(one) {
 }
 
 async function catchUpAnswer(one) {
-  if (!one.isAsking.peek()) return;
+  if (!one.isControlRequested.peek()) return;
   const { holder, requested_by: asks } = await rpc.call('lease', { gripper: one.name });
-  one.isAsking.value = asks === myName.peek();
+  one.isControlRequested.value = asks === myName.peek();
   if (holder === myName.peek()) await takeControl(one);
 }
 
@@ -96,6 +96,6 @@ export function takeEvent(event, one, at) {
       learn(one);
     }
     if (event.kind === 'link' && event.link === 'connected') Promise.all([learn(one), learnSettings(one)]);
-    if (event.kind === 'lease' && one.isAsking.peek()) takeAnswer(event, one);
+    if (event.kind === 'lease' && one.isControlRequested.peek()) takeAnswer(event, one);
   });
 }

@@ -45,7 +45,7 @@ export class Gripper {
     this.problem = signal(null);
     /** Lease that this page holds: `{token, epoch}`. */
     this.held = signal(null);
-    this.isAsking = signal(false);
+    this.isControlRequested = signal(false);
     /** Epoch of the lease that this page took and has not given up; null without one. */
     this.epoch = null;
     /** How this page lost control, unless the user gave it up: `{how, by}`, or null. */
@@ -53,7 +53,7 @@ export class Gripper {
     /** Numbers the FAST STOP requests for this gripper. */
     this.stopping = numbered();
     /** Whether this page has requested a motion that no state reports yet. */
-    this.isAsked = signal(false);
+    this.isMotionRequested = signal(false);
     this.samples = new Samples(SAMPLES);
     this.marks = [];
 

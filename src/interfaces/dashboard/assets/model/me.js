@@ -9,15 +9,15 @@ const ASKED_EVERY_MS = 5000;
 export const me = signal(null);
 
 /** Whether the gateway asks this person to sign in. */
-export const isStranger = signal(false);
+export const mustSignIn = signal(false);
 
 /** Asks the gateway again. Without an answer, the last one stays. */
 export async function recognize() {
   try {
     me.value = await get('me');
-    isStranger.value = false;
+    mustSignIn.value = false;
   } catch (problem) {
-    if (problem?.code === 'unauthorized') isStranger.value = true;
+    if (problem?.code === 'unauthorized') mustSignIn.value = true;
   }
 }
 

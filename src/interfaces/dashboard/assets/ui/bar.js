@@ -6,7 +6,7 @@ import { numbered } from '../core/newest.js';
 import { alarms } from '../model/alarms.js';
 import { ofProblem, t, time } from '../model/i18n.js';
 import { fastStop, fastStopFleet } from '../model/commands.js';
-import { isStranger } from '../model/me.js';
+import { mustSignIn } from '../model/me.js';
 import { connection, gripper, grippers, hasOthers, heardAt, isLive, selected } from '../model/store.js';
 import { isOld } from '../model/version.js';
 import { onPress, Shape, whyOld } from './parts.js';
@@ -90,8 +90,8 @@ function Item({ label, shape, text, tone = '' }) {
 }
 
 function linkItem(one) {
-  // The gateway answers, but says nothing to strangers.
-  if (isStranger.value) return { shape: 'off', text: t('bar.sign_in') };
+  // The gateway responds, but shows no states until the user has signed in.
+  if (mustSignIn.value) return { shape: 'off', text: t('bar.sign_in') };
   if (connection.value !== 'live') {
     const since =
       heardAt.value && connection.value !== 'connecting' ? ` ${t('bar.since', { time: time(heardAt.value) })}` : '';

@@ -61,7 +61,7 @@ export function whyNot(one, needsReference = true) {
   if (!isLive.value || !one.isThere.value) return 'why.link';
   if (one.latchId.value) return 'why.fast_stop';
   if (!one.isMine.value) return 'why.control';
-  if (one.runs.value || one.isAsked.value) return 'why.running';
+  if (one.runs.value || one.isMotionRequested.value) return 'why.running';
   if (needsReference && one.isReferenced.value === false) return 'why.not_referenced';
   return null;
 }
@@ -82,7 +82,7 @@ function WhoControls({ one }) {
     return html`<div class="take"><p>${t('control.you')}</p>
       ${button('control.release', () => releaseControl(one))}</div>`;
   if (holder)
-    return html`<div class="take"><p>${t(one.isAsking.value ? 'control.asking' : 'control.held_by', { holder })}</p>
+    return html`<div class="take"><p>${t(one.isControlRequested.value ? 'control.asking' : 'control.held_by', { holder })}</p>
       ${button('control.ask', () => takeControl(one, { request: true }))}</div>`;
   return html`<div class="take"><p>${reserved ? t('control.reserved', { name: reserved }) : t('control.nobody')}</p>
     ${!reserved && isUnnamed.value && html`<${YourName} />`}

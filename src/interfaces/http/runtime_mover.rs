@@ -1,4 +1,4 @@
-//! The runtime that serves a connection.
+//! Moving a connection to another runtime.
 
 use std::sync::Arc;
 
@@ -7,9 +7,9 @@ use tokio::sync::watch;
 
 /// Moves a connection to another runtime. Handlers find it in a request's extensions.
 #[derive(Debug, Clone)]
-pub struct Home(Arc<watch::Sender<Handle>>);
+pub struct RuntimeMover(Arc<watch::Sender<Handle>>);
 
-impl Home {
+impl RuntimeMover {
     /// Returns the mover of a connection that watches this channel.
     pub fn new(moves: watch::Sender<Handle>) -> Self {
         Self(Arc::new(moves))
@@ -17,19 +17,19 @@ impl Home {
 
     /// Moves the connection to a runtime, unwritten bytes included.
     pub fn move_to(&self, runtime: &Handle) {
-        self.move_if(runtime, |home| home.id() != runtime.id());
+        self.move_if(runtime, |current| current.id() != runtime.id());
     }
 
     /// Moves the connection from `from` to `to`, if it is on `from`.
     pub fn leave(&self, from: &Handle, to: &Handle) {
-        self.move_if(to, |home| home.id() == from.id() && home.id() != to.id());
+        self.move_if(to, |current| current.id() == from.id() && current.id() != to.id());
     }
 
     fn move_if(&self, runtime: &Handle, moves: impl FnOnce(&Handle) -> bool) {
-        self.0.send_if_modified(|home| {
-            let moves = moves(home);
+        self.0.send_if_modified(|current| {
+            let moves = moves(current);
             if moves {
-                *home = runtime.clone();
+                *current = runtime.clone();
             }
             moves
         });
