@@ -152,7 +152,8 @@ export const de = {
   'problem.internal': 'Interner Fehler im Gateway: siehe dessen Protokoll.',
   'problem.device_protocol': 'Der Greifer hat eine ungültige Antwort gesendet.',
   'problem.link_down': 'Keine Verbindung zum Greifer.',
-  'problem.journal_down': 'Das Journal ist nicht schreib- oder lesbar. Bis es wieder läuft, werden Bewegungen eventuell abgelehnt.',
+  'problem.journal_down':
+    'Das Journal ist nicht schreib- oder lesbar. Bis es wieder läuft, werden Bewegungen eventuell abgelehnt.',
   'problem.device_timeout': 'Der Greifer hat nicht rechtzeitig geantwortet.',
   'problem.name_taken': 'Ein anderes Gateway heißt genauso: jedem einen eigenen Namen geben.',
   'problem.gateway_gone': 'Dieses Gateway ist offline.',
