@@ -141,8 +141,9 @@ fn texts_and_numbers(min_bytes: Option<usize>, max_bytes: usize, description: &s
 pub fn request_id_schema() -> OneOfBuilder {
     text_or_number(
         64,
-        "Id that makes the request safe to repeat: for 10 minutes, the same id returns the same command. At most 64 \
-         bytes, or a whole number, which is treated as text; empty means none.",
+        "Id that makes the request safe to repeat: for 10 minutes, the same id returns the same command. Only a Stop \
+         is sent again while the fingers move. At most 64 bytes, or a whole number, which is treated as text; empty \
+         means none.",
     )
 }
 

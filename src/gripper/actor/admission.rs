@@ -6,7 +6,7 @@ use super::super::Now;
 use super::super::error::{Conflict, Failure, Invalid, Rejection};
 use super::super::handle::{ResultSender, Steps, Ticket};
 use super::super::model::{
-    Action, Client, CommandId, CommandReport, FastStopId, LeaseToken, Motion, SettingChange, Submission,
+    Action, Client, CommandId, CommandReport, FastStopId, LeaseToken, Motion, Outcome, SettingChange, Submission,
 };
 use super::Actor;
 use super::link::{Exchange, OwnStop, Purpose};
@@ -51,8 +51,9 @@ impl Actor {
         }
     }
 
-    /// Admits a Stop. While the fingers move, it is sent even if its request id stands for another request, or for a
-    /// Stop that has ended.
+    /// Admits a Stop, whatever its request id stands for. If the id stands for a Stop that is under way, another frame
+    /// is sent, because a motion may have begun since. If that Stop has ended, this one is a new command without the id,
+    /// unless the earlier one succeeded and the fingers stand still.
     fn admit_stop(
         &mut self,
         now: Now,
@@ -60,13 +61,24 @@ impl Actor {
         submission: &Submission,
         replay: Result<Option<Ticket>, Conflict>,
     ) -> Result<Ticket, Rejection> {
+        let is_moving = self.is_moving(now.instant);
+        let before = replay.as_ref().ok().and_then(Option::as_ref).map(|ticket| ticket.now().outcome);
+        if let Ok(Some(ticket)) = &replay
+            && before == Some(Some(Outcome::Success))
+            && !is_moving
+        {
+            return Ok(ticket.clone());
+        }
         // An unwritten script would move the fingers after the Stop.
         self.withdraw_scripts(&Failure::StoppedFirst { command: "the custom command" }.into(), |_| true);
-        let is_moving = self.is_moving(now.instant);
         let without_id;
         let submission = match replay {
             Ok(None) => submission,
-            Ok(Some(ticket)) if !is_moving || ticket.now().outcome.is_none() => return Ok(ticket),
+            Ok(Some(ticket)) if before == Some(None) => {
+                self.withdraw_waiting_motion(now);
+                self.link.send_stop(now, OwnStop::new(self.motion.mover(now.instant)));
+                return Ok(ticket);
+            }
             Ok(Some(_)) | Err(_) => {
                 without_id = Submission { request_id: None, ..submission.clone() };
                 &without_id

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use wsg_gateway::gripper::Conflict;
 use wsg_gateway::gripper::model::{Action, Detail, DeviceEvent, FastStopStep, Link, Outcome, Phase};
-use wsg_gateway::sim::Change;
+use wsg_gateway::sim::{Change, FaultKind};
 use wsg_gateway::wsg::{SystemState, id};
 
 use super::steps::*;
@@ -97,6 +97,14 @@ fn stop_is_sent_whatever_its_request_id_stands_for() {
     world.advance(Duration::from_millis(100));
     let again = submit(&mut world, Action::Stop, Some("a")).unwrap();
     assert_eq!((again.id(), again.now().replayed), (first.id(), true));
+    // A motion starts while the reply to a Stop is lost.
+    world.device.apply(world.now, Change::Fault { kind: FaultKind::NoReply, id: Some(id::STOP), times: 1 });
+    let unanswered = submit(&mut world, Action::Stop, Some("d")).unwrap();
+    let running = start(&mut world, move_to(80.0, 10.0));
+    world.advance(Duration::from_millis(100));
+    let again = submit(&mut world, Action::Stop, Some("d")).unwrap();
+    assert_eq!((again.id(), again.now().outcome), (unanswered.id(), None));
+    assert_eq!(finish(&mut world, &running).outcome, Some(Outcome::Aborted));
     for (motion_id, stop_id) in [("b", "a"), ("c", "c")] {
         let from = mark(&world);
         let running = submit(&mut world, Action::Motion(move_to(5.0, 10.0)), Some(motion_id)).unwrap();
