@@ -53,7 +53,9 @@ impl Actor {
             }
             _ => return,
         };
-        self.motion.see();
+        if !flags.contains(SystemState::MOVING) {
+            self.motion.rested();
+        }
         self.recording.flags(now, before, flags);
         self.notice_restart(now, before, flags);
         self.notice_foreign_motion(now, before, flags);

@@ -139,7 +139,8 @@ pub(super) struct MotionState {
     pub last_end: Option<Instant>,
     /// Time until which the fingers can move because of a motion that has ended.
     may_move_until: Option<Instant>,
-    /// The last motion and the same time, if its result is unknown and no flags have arrived since.
+    /// The last motion and the same time, if its result is unknown and no flags have shown since that the fingers stand
+    /// still.
     unseen: Option<(CommandId, Instant)>,
 }
 
@@ -241,13 +242,14 @@ impl MotionState {
         self.running.as_ref().is_some_and(|running| !running.is_waiting())
     }
 
-    /// Notes that the motion's result is unknown, so that the fingers count as moving until flags arrive.
+    /// Notes that the motion's result is unknown, so that the fingers count as moving until the flags show that they
+    /// stand still.
     pub(super) fn lose_sight(&mut self, now: Instant, stroke_mm: Option<f32>) {
         self.unseen = self.running.as_ref().map(|running| (running.id, now + running.moves_on_for(stroke_mm)));
     }
 
-    /// Notes that flags have arrived.
-    pub(super) fn see(&mut self) {
+    /// Notes that the fingers stand still.
+    pub(super) fn rested(&mut self) {
         self.unseen = None;
     }
 

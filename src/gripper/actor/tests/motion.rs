@@ -106,15 +106,18 @@ fn own_stop_is_not_repeated_for_the_next_motion() {
 fn motion_without_any_sign_counts_as_moving_until_the_next_flags() {
     let mut rig = Rig::connected(config(TCP));
     rig.device.held.extend([id::LOOP, id::GET_SYSTEM_STATE]);
-    let (_, ticket) = release(&mut rig);
+    let (id, ticket) = release(&mut rig);
     for _ in 0..15 {
         rig.pass(100);
     }
     assert_eq!(ticket.now().outcome, Some(Outcome::Unknown));
     assert!(rig.actor.is_moving(rig.now.instant), "the device is silent");
-    let flags = rig.device.flags.bits().to_le_bytes();
-    rig.reply(id::GET_SYSTEM_STATE, Status::E_SUCCESS, &flags);
-    assert!(!rig.actor.is_moving(rig.now.instant));
+    let flags = rig.device.flags;
+    for (flags, mover) in [(flags | SystemState::MOVING, Some(id)), (flags, None)] {
+        rig.reply(id::GET_SYSTEM_STATE, Status::E_SUCCESS, &flags.bits().to_le_bytes());
+        assert_eq!(rig.actor.is_moving(rig.now.instant), mover.is_some());
+        assert_eq!(rig.actor.motion.mover(rig.now.instant), mover);
+    }
 }
 
 #[test]
