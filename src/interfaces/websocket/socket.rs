@@ -309,8 +309,9 @@ impl Socket {
         let identity = self.visitor.identity(&self.context.gateway.access);
         let may_move =
             |gripper: &Name| identity.as_ref().is_ok_and(|identity| identity.may(Right::Operate, Some(gripper)));
-        // They stay in the list until they are lost, in case the socket ends before.
-        for (_, (lease, _)) in self.leases.iter().filter(|(gripper, _)| !may_move(gripper)) {
+        // They stay in the list until they are lost, in case the socket ends before, but are not kept alive any more.
+        for (_, (lease, _)) in self.leases.iter_mut().filter(|(gripper, _)| !may_move(gripper)) {
+            *lease = Arc::new(lease.without_keep());
             let lease = lease.clone();
             self.calls.push(
                 async move {
