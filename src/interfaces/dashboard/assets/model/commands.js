@@ -88,10 +88,12 @@ export async function changeTerms(one, more = {}) {
 
 export async function releaseControl(one) {
   const take = one.asking('lease');
+  const epoch = one.held.peek()?.epoch;
   const released = ask(one, 'lease.release');
   one.epoch = null;
   const lease = await released;
-  one.own(null);
+  // Another person can have taken control on this page meanwhile.
+  if (one.held.peek()?.epoch === epoch) one.own(null);
   if (lease) take(lease);
 }
 

@@ -65,8 +65,11 @@ function PinField() {
 async function lock() {
   const mine = grippers.peek().filter((one) => one.isMine.peek());
   // One after the other: the gateway limits the requests in progress.
-  const released = mine.reduce((before, one) => before.then(() => releaseControl(one)), Promise.resolve());
+  let isOver = false;
+  const released = mine.reduce((before, one) => before.then(() => isOver || releaseControl(one)), Promise.resolve());
   await Promise.race([released, new Promise((resolve) => setTimeout(resolve, RELEASED_WITHIN_MS))]);
+  // What the next person controls is not released.
+  isOver = true;
   await forgetPin();
 }
 
