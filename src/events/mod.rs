@@ -302,8 +302,9 @@ impl Subscription {
         self.event_position.as_ref().map_or_else(|| self.updates.journal.last_seq(), EventPosition::get)
     }
 
-    /// Returns what waits to be sent when another subscription replaces this one: events up to the successor's first, or a
-    /// gap in their place, and grip records. Frames are left out: the successor's begin at once.
+    /// Returns what waits to be sent when another subscription replaces this one: events up to the successor's first,
+    /// or a gap in their place, and grip records, of which the newest can be sent again. Frames are left out: the
+    /// successor's begin at once.
     pub fn rest(&mut self, successor: &Self) -> Vec<Notification> {
         let mut rest = Vec::new();
         let events = self.event_position.clone().zip(successor.event_position.as_ref());
