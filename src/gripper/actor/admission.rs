@@ -52,8 +52,8 @@ impl Actor {
     }
 
     /// Admits a Stop, whatever its request id stands for. If the id stands for a Stop that is under way, another frame
-    /// is sent, because a motion may have begun since. If that Stop has ended, this one is a new command without the id,
-    /// unless the earlier one succeeded and the fingers stand still.
+    /// is sent, because a motion may have begun since. If that Stop has ended, this one is a new command without the
+    /// id, unless the earlier one succeeded and the fingers stand still.
     fn admit_stop(
         &mut self,
         now: Now,
