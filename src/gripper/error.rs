@@ -233,6 +233,9 @@ pub enum Failure {
     #[error("{command} was not sent, because an earlier request still had no reply: try again later")]
     NotSent { command: &'static str },
     /// The device never received the request.
+    #[error("{command} was not sent, because it could not begin within {waited_ms} ms: send it again")]
+    Late { command: &'static str, waited_ms: u64 },
+    /// The device never received the request.
     #[error("{command} was not sent, because a Stop came first: send it again if it is still wanted")]
     StoppedFirst { command: &'static str },
     #[error("unexpected reply from the device to {command}: {detail}")]
@@ -264,9 +267,11 @@ impl Failure {
     const fn code(&self) -> Code {
         match self {
             Self::LinkDown { .. } | Self::Draining => Code::LinkDown,
-            Self::DeviceTimeout { .. } | Self::NoValueYet { .. } | Self::NotSent { .. } | Self::StoppedFirst { .. } => {
-                Code::DeviceTimeout
-            }
+            Self::DeviceTimeout { .. }
+            | Self::NoValueYet { .. }
+            | Self::NotSent { .. }
+            | Self::Late { .. }
+            | Self::StoppedFirst { .. } => Code::DeviceTimeout,
             Self::DeviceProtocol { .. } => Code::DeviceProtocol,
             Self::JournalDown { .. } => Code::JournalDown,
             Self::Overloaded { .. } | Self::RequestIds { .. } | Self::FlashWear { .. } => Code::Overloaded,

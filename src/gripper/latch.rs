@@ -143,6 +143,16 @@ impl LatchState {
         self.flags_count_from = Some(now);
     }
 
+    /// Takes the flags of a link that was set up. A device without a FAST STOP has forgotten it, so the latch is
+    /// unconfirmed again, and 23h is sent.
+    pub(super) fn link_set_up(&mut self, now: Instant, flags: Option<SystemState>) {
+        let is_forgotten = flags.is_some_and(|flags| !flags.contains(SystemState::FAST_STOP));
+        if let Some(latch) = self.latch.as_mut().filter(|latch| latch.confirmed && is_forgotten) {
+            latch.confirmed = false;
+            self.flags_count_from = Some(now);
+        }
+    }
+
     /// Latches a client's FAST STOP. Returns a pending acknowledgement, which must not reach the device afterwards.
     pub(super) fn request(&mut self, now: Now, request: FastStopRequest) -> Option<Token> {
         let was_acknowledging = self.acknowledging.is_some();

@@ -7,7 +7,7 @@ use wsg_gateway::gripper::Conflict;
 use wsg_gateway::gripper::handle::ActorRequest;
 use wsg_gateway::gripper::model::{Link, Outcome};
 use wsg_gateway::sim::{Change, Interface};
-use wsg_gateway::wsg::{self, Acceleration, id};
+use wsg_gateway::wsg::{self, Acceleration, SystemState, id};
 
 use super::invariants::steps::{
     device, exchange, fast_stop, finish, home, latch, mark, move_to, received, refused, request, run, start, state,
@@ -164,5 +164,7 @@ fn latch_survives_a_restart_without_a_disconnect() {
     world.advance(Duration::from_secs(3));
     assert!(world.log.iter().any(|line| line.contains("closing: the device restarted")), "{}", world.tail());
     assert_eq!((state(&world).link, latch(&world).fast_stop_id), (Link::Connected, id));
+    let is_stopped = world.device.snapshot().flags.contains(SystemState::FAST_STOP);
+    assert!(is_stopped && latch(&world).fast_stop_confirmed, "the device had forgotten it");
     assert_eq!(refused(&mut world, home()), Conflict::FastStop { id }.into());
 }

@@ -39,7 +39,7 @@ impl Actor {
                 if !matches!(motion, Motion::Custom(_)) {
                     self.recording.start_measuring(id, motion, self.settings.known_serial);
                 }
-                self.motion.running = Some(Running::new(id, motion.clone(), self.is_streamed(motion)));
+                self.motion.running = Some(Running::new(now.instant, id, motion.clone(), self.is_streamed(motion)));
                 if self.is_streamed(motion) {
                     // A streamed command does not wait for a record.
                     self.motion.let_run();

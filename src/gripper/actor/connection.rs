@@ -150,6 +150,7 @@ impl Actor {
             // A motion that a restart ended gets no result from the device.
             session.expect_results(now.instant);
         }
+        self.latch.link_set_up(now.instant, self.observed.flags);
         self.metering.set_up(self.link.was_up);
         self.link.ready();
         self.observed.temperature_at = Some(now.instant);

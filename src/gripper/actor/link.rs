@@ -186,6 +186,8 @@ impl DeviceLink {
         let was_released = self.released.take().is_some();
         if was_released && self.is_down() {
             self.cause = None;
+            // Another program may have caused a FAST STOP meanwhile.
+            self.unannounced = false;
         }
         was_released
     }

@@ -1,5 +1,7 @@
 //! Submitting, stopping and ending the command that moves the fingers.
 
+use std::time::Duration;
+
 use tokio::sync::oneshot;
 
 use super::super::Now;
@@ -20,6 +22,9 @@ impl Actor {
         }
         let Some(running) = self.motion.due(now.instant) else { return };
         let id = running.id;
+        if let Some(waited) = self.motion.is_late(now.instant) {
+            return self.reject_late(now, waited);
+        }
         match running.motion {
             Motion::Grip { force: Some(force), .. } => {
                 let sent = self.link.submit(now, Command::SetForceLimit(force), Purpose::Force(id, force));
@@ -34,6 +39,9 @@ impl Actor {
         let Some(running) = self.motion.running.as_ref().filter(|running| running.id == id) else { return };
         if let Some(fast_stop) = self.latch.id() {
             return self.reject_running(now, Conflict::FastStop { id: fast_stop }.into());
+        }
+        if let Some(waited) = self.motion.is_late(now.instant) {
+            return self.reject_late(now, waited);
         }
         let request = running.motion.request();
         let within = result_within(&running.motion, self.settings.stroke_mm());
@@ -252,6 +260,12 @@ impl Actor {
 
     fn refusal(&self, command: &'static str, status: Status) -> Rejection {
         DeviceRefusal { command, status, fast_stop: self.latch.id() }.into()
+    }
+
+    fn reject_late(&mut self, now: Now, waited: Duration) {
+        let Some(running) = &self.motion.running else { return };
+        let (command, waited_ms) = (super::name_of(&running.motion.request()), waited.as_millis() as u64);
+        self.reject_running(now, Failure::Late { command, waited_ms }.into());
     }
 
     pub(super) fn reject_running(&mut self, now: Now, rejection: Rejection) {

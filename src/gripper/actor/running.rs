@@ -16,6 +16,10 @@ const HOMING_WITHIN: Duration = Duration::from_mins(1);
 /// (E_TIMEOUT).
 const MOTION_MARGIN: Duration = Duration::from_secs(10);
 
+/// Longest time from the admission of a motion to its request, beyond its pause: for its record and for Set Force
+/// Limit. The gateway's process can be frozen meanwhile, or the link be set up again.
+const BEGINS_WITHIN: Duration = Duration::from_secs(2);
+
 /// Longest wait for values measured after a motion, so that its result and the client's next read have the values at
 /// rest. Updates every 10 ms usually end the wait sooner.
 const SETTLES_WITHIN: Duration = Duration::from_millis(50);
@@ -36,6 +40,7 @@ pub(super) struct Running {
     pub motion: Motion,
     pub stage: Stage,
     pub accepted: bool,
+    admitted_at: Instant,
     /// Whether the command is streamed: neither the command nor its client waits for anything.
     pub is_streamed: bool,
     /// Whether the command's `admitted` record is durable, or not required to be.
@@ -71,12 +76,13 @@ pub(super) struct Settling {
 }
 
 impl Running {
-    pub(super) fn new(id: CommandId, motion: Motion, is_streamed: bool) -> Self {
+    pub(super) fn new(now: Instant, id: CommandId, motion: Motion, is_streamed: bool) -> Self {
         Self {
             id,
             motion,
             stage: Stage::Waiting,
             accepted: false,
+            admitted_at: now,
             is_streamed,
             recorded: false,
             fast_stop: None,
@@ -201,6 +207,12 @@ impl MotionState {
         self.pausing().filter(|_| self.starts_at().is_none_or(|at| at <= now))
     }
 
+    /// Time that a motion has waited in vain, if it is too late to begin it. Its client may have given up.
+    pub(super) fn is_late(&self, now: Instant) -> Option<Duration> {
+        let waited = now.saturating_duration_since(self.running.as_ref()?.admitted_at);
+        (waited > self.pause + BEGINS_WITHIN).then_some(waited)
+    }
+
     /// Time at which a settling motion ends even without newer values.
     pub(super) fn settles_at(&self) -> Option<Instant> {
         match self.running.as_ref()?.stage {
@@ -290,7 +302,8 @@ mod tests {
         for pause in [Duration::ZERO, Duration::from_millis(120)] {
             let mut motion = MotionState::new(pause);
             motion.last_end = Some(end);
-            motion.running = Some(Running::new(CommandId::generate(), Motion::Home(HomingDirection::Default), false));
+            let home = Motion::Home(HomingDirection::Default);
+            motion.running = Some(Running::new(end, CommandId::generate(), home, false));
             motion.let_run();
             assert_eq!(motion.starts_at(), Some(end + pause));
         }

@@ -46,7 +46,10 @@ fn status_of(rejection: &Rejection) -> Status {
         Rejection::Failure(failure) => match failure {
             Failure::LinkDown { .. } => Status::E_IO_ERROR,
             Failure::Draining => Status::E_ACCESS_DENIED,
-            Failure::DeviceTimeout { .. } | Failure::NoValueYet { .. } | Failure::NotSent { .. } => Status::E_TIMEOUT,
+            Failure::DeviceTimeout { .. }
+            | Failure::NoValueYet { .. }
+            | Failure::NotSent { .. }
+            | Failure::Late { .. } => Status::E_TIMEOUT,
             Failure::StoppedFirst { .. } => Status::E_CMD_ABORTED,
             Failure::DeviceProtocol { .. } => Status::E_INCONSISTENT_DATA,
             // E_ACCESS_DENIED would mean that another client or a FAST STOP blocks the request.

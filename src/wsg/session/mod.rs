@@ -293,7 +293,7 @@ impl Session {
         self.expire_in_flight(now);
         self.expire_scripts(now);
         self.slots.expire_duplicates(now);
-        if now >= self.last_heard + PROBE_AFTER {
+        if self.probes_at().is_some_and(|at| at <= now) {
             self.barrier.probe();
         }
     }
@@ -321,6 +321,8 @@ impl Session {
                 && !(fast_stop_waits && id == id::ACKNOWLEDGE_FAST_STOP)
                 // The fingers may have begun to move since the request was taken.
                 && !(may_move && self.config.is_too_long(command))
+                // Only a stop may still be written after its deadline, as when the process was frozen.
+                && (waiting.deadline > now || matches!(command, Command::Stop | Command::FastStop))
         };
         if let Some(waiting) = self.lanes.pop_urgent(is_open) {
             self.write(now, waiting, out);
@@ -342,7 +344,7 @@ impl Session {
     #[must_use]
     pub fn poll_timeout(&self) -> Option<Instant> {
         let in_flight = self.slots.in_flight().map(|(_, in_flight)| in_flight.deadline).min();
-        let probe = (!self.barrier.is_in_flight() && !self.barrier.is_wanted()).then(|| self.last_heard + PROBE_AFTER);
+        let probe = self.probes_at().filter(|_| !self.barrier.is_in_flight() && !self.barrier.is_wanted());
         let (waiting, script) = (self.lanes.next_deadline(), self.slots.script_deadline());
         let (barrier, duplicate) = (self.barrier.deadline(), self.slots.duplicate_deadline());
         let deadlines = [in_flight, waiting, script, duplicate, barrier, self.partial_deadline(), probe];
@@ -376,6 +378,14 @@ impl Session {
     #[must_use]
     pub fn decoder_counters(&self) -> DecoderCounters {
         self.decoder.counters()
+    }
+
+    /// Time at which a Loop probes whether the device is still there. On the slowest lines, none does while the fingers
+    /// may move, because a FAST STOP would have to wait for it.
+    fn probes_at(&self) -> Option<Instant> {
+        let line_time = self.config.line_time(frame::OVERHEAD_BYTES + barrier::NONCE_BYTES);
+        let is_too_long = self.may_move() && line_time > MAX_LINE_TIME_WHILE_MOVING;
+        (!is_too_long).then(|| self.last_heard + PROBE_AFTER)
     }
 
     /// Whether the fingers move, or can begin to move because of a motion whose end is not known.

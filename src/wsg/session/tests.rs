@@ -369,6 +369,26 @@ fn held_request_holds_back_later_ones_of_its_id() {
 }
 
 #[test]
+fn only_stops_are_written_after_their_deadline() {
+    let mut rig = Rig::new();
+    for command in [grip(), Command::GetTemperature, Command::Stop, Command::FastStop] {
+        rig.submit(command);
+    }
+    rig.now += 2 * ANSWER;
+    assert_eq!(rig.written(), [id::FAST_STOP, id::STOP]);
+}
+
+#[test]
+fn no_probe_delays_a_fast_stop_on_the_slowest_line() {
+    let mut rig = Rig::on_a_line(Some(120));
+    for (flags, probes) in [(SystemState::MOVING, vec![]), (SystemState::empty(), vec![id::LOOP])] {
+        rig.flags(flags);
+        rig.pass(PROBE_AFTER);
+        assert_eq!(rig.written(), probes, "{flags:?}");
+    }
+}
+
+#[test]
 fn lanes_are_bounded() {
     let mut rig = Rig::new();
     for _ in 0..MAX_WAITING {

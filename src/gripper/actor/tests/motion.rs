@@ -103,6 +103,21 @@ fn own_stop_is_not_repeated_for_the_next_motion() {
 }
 
 #[test]
+fn motion_that_cannot_begin_in_time_is_refused() {
+    let mut rig = Rig::connected(config(TCP));
+    release(&mut rig);
+    rig.reply(id::RELEASE, Status::E_CMD_PENDING, &[]);
+    rig.reply(id::RELEASE, Status::E_SUCCESS, &[]);
+    let (_, waiting) = release(&mut rig);
+    // As if the process had been frozen during the pause.
+    rig.pass(2500);
+    let command = waiting.now();
+    assert_eq!((command.outcome, command.code), (Some(Outcome::Refused), Some(Code::DeviceTimeout)));
+    assert!(command.detail.unwrap().contains("could not begin within 2500 ms"));
+    assert_eq!(rig.count(id::RELEASE), 1);
+}
+
+#[test]
 fn motion_without_any_sign_counts_as_moving_until_the_next_flags() {
     let mut rig = Rig::connected(config(TCP));
     rig.device.held.extend([id::LOOP, id::GET_SYSTEM_STATE]);
