@@ -8,11 +8,12 @@ use std::fmt;
 use std::io;
 use std::path::Path;
 use std::pin::Pin;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::task::{Context, Poll, ready};
 use std::time::Duration;
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::runtime::Handle;
 use tokio_serial::{ClearBuffer, DataBits, FlowControl, Parity, SerialPort, SerialStream, StopBits};
 use url::Url;
 
@@ -83,7 +84,7 @@ impl SerialAddress {
             io::Error::new(io::ErrorKind::TimedOut, format!("{} did not open within {waited} s", self.path))
         })?;
         let stream = opened.map_err(io::Error::other)??;
-        let port = Arc::new(Mutex::new(stream));
+        let port = Port::new(stream);
         let pacer = Pacer::new(self.bytes_per_second());
         let path: Arc<str> = self.path.as_str().into();
         let reader = Reader { port: port.clone(), path: path.clone() };
@@ -127,11 +128,32 @@ impl fmt::Display for SerialAddress {
     }
 }
 
-type Port = Arc<Mutex<SerialStream>>;
+/// An open port. Closing it can block for seconds, while an adapter sends what it still has, so a thread of its own
+/// closes it.
+#[derive(Clone)]
+struct Port(Arc<Mutex<Closing>>);
 
-fn locked(port: &Port) -> MutexGuard<'_, SerialStream> {
-    // No code panics while holding the lock; even then, the port would remain usable.
-    port.lock().unwrap_or_else(PoisonError::into_inner)
+struct Closing(Option<SerialStream>);
+
+impl Drop for Closing {
+    fn drop(&mut self) {
+        if let (Some(stream), Ok(runtime)) = (self.0.take(), Handle::try_current()) {
+            drop(runtime.spawn_blocking(move || drop(stream)));
+        }
+    }
+}
+
+impl Port {
+    fn new(stream: SerialStream) -> Self {
+        Self(Arc::new(Mutex::new(Closing(Some(stream)))))
+    }
+
+    /// Runs a function on the open port.
+    fn with<T>(&self, run: impl FnOnce(Pin<&mut SerialStream>) -> T) -> io::Result<T> {
+        // No code panics while holding the lock; even then, the port would remain usable.
+        let mut port = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        port.0.as_mut().map(|stream| run(Pin::new(stream))).ok_or_else(|| io::ErrorKind::NotConnected.into())
+    }
 }
 
 struct Reader {
@@ -142,7 +164,7 @@ struct Reader {
 impl AsyncRead for Reader {
     fn poll_read(self: Pin<&mut Self>, cx: &mut Context<'_>, out: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         let before = out.filled().len();
-        let read = ready!(Pin::new(&mut *locked(&self.port)).poll_read(cx, out));
+        let read = ready!(self.port.with(|port| port.poll_read(cx, out))?);
         // A serial line has no end of file.
         let is_end = read.is_ok() && out.filled().len() == before;
         let read = if is_end { Err(io::ErrorKind::UnexpectedEof.into()) } else { read };
@@ -163,7 +185,7 @@ struct Writer {
 
 impl AsyncWrite for Writer {
     fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, frame: &[u8]) -> Poll<io::Result<usize>> {
-        let written = ready!(Pin::new(&mut *locked(&self.port)).poll_write(cx, frame));
+        let written = ready!(self.port.with(|port| port.poll_write(cx, frame))?);
         let written = written.map_err(|error| gone(&self.path, &error))?;
         self.pacer.wrote(written);
         Poll::Ready(Ok(written))
@@ -174,7 +196,7 @@ impl AsyncWrite for Writer {
     fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
         loop {
             ready!(self.pacer.poll_free(cx));
-            let waiting = locked(&self.port).bytes_to_write().unwrap_or_default();
+            let waiting = self.port.with(|port| port.bytes_to_write())?.unwrap_or_default();
             if waiting == 0 {
                 return Poll::Ready(Ok(()));
             }

@@ -125,7 +125,7 @@ impl CanAddress {
         let pacer = Pacer::new(self.bytes_per_second());
         Ok(Pipe {
             reader: Box::new(reader),
-            writer: Box::new(Writer { socket: sending, id, queue: VecDeque::new(), pacer }),
+            writer: Box::new(Writer { socket: sending, id, queue: VecDeque::new(), sent: None, pacer }),
         })
     }
 
@@ -136,12 +136,14 @@ impl CanAddress {
         format!("sudo ip link set {interface} up{settings}")
     }
 
-    /// Opens separate sockets for listening and sending, so that they share no state.
+    /// Opens separate sockets for listening and sending, so that they share no state. The sending one receives only its
+    /// own frames, once they were sent.
     fn open(&self) -> io::Result<(CanSocket, CanSocket)> {
         let (listening, sending) = (CanSocket::open(&self.interface)?, CanSocket::open(&self.interface)?);
         listening.set_filters(&[CanFilter::new(self.rx.into(), WHOLE_ID)])?;
         listening.set_error_filter(BUS_OFF)?;
-        sending.set_filter_drop_all()?;
+        sending.set_filters(&[CanFilter::new(self.tx.into(), WHOLE_ID)])?;
+        sending.set_recv_own_msgs(true)?;
         Ok((listening, sending))
     }
 
@@ -235,12 +237,37 @@ impl AsyncRead for Reader {
 }
 
 /// Sends each write as one frame, which starts in a new slice.
+///
+/// Without another node that acknowledges it, a controller repeats a slice for ever, even after the link was closed. So
+/// each slice waits until the one before was sent: whatever is repeated once the cable is plugged in again is no whole
+/// motion.
 struct Writer {
     socket: CanSocket,
     id: StandardId,
-    /// Unsent slices of the current frame.
+    /// Slices of the current frame that the kernel does not have yet.
     queue: VecDeque<CanFrame>,
+    /// The slice that the kernel has, until it reports it as sent.
+    sent: Option<CanFrame>,
     pacer: Pacer,
+}
+
+impl Writer {
+    /// Waits until the kernel has no slice.
+    fn poll_sent(&mut self, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        while let Some(sent) = &self.sent {
+            let frame = match ready!(Pin::new(&mut self.socket).poll_next(cx)) {
+                Some(Ok(frame)) => frame,
+                Some(Err(socketcan::Error::Io(error))) => return Poll::Ready(Err(error)),
+                Some(Err(error)) => return Poll::Ready(Err(io::Error::other(error))),
+                None => return Poll::Ready(Err(io::ErrorKind::UnexpectedEof.into())),
+            };
+            // Another program can send with the same id.
+            if frame.data() == sent.data() {
+                self.sent = None;
+            }
+        }
+        Poll::Ready(Ok(()))
+    }
 }
 
 impl AsyncWrite for Writer {
@@ -252,14 +279,16 @@ impl AsyncWrite for Writer {
         Poll::Ready(Ok(frame.len()))
     }
 
-    /// Is ready once the controller has received all slices and has had time to send them.
+    /// Is ready once all slices were sent, and have had their time on the line.
     fn poll_flush(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
         let this = self.get_mut();
-        while let Some(slice) = this.queue.front() {
+        loop {
+            ready!(this.poll_sent(cx))?;
+            let Some(slice) = this.queue.front() else { break };
             match this.socket.try_write_frame(*slice) {
                 Ok(()) => {
                     this.pacer.wrote(slice.dlc());
-                    this.queue.pop_front();
+                    this.sent = this.queue.pop_front();
                 }
                 Err(error) if is_full(&error) => {
                     this.pacer.hold(QUEUE_FULL);
