@@ -42,6 +42,7 @@ mod transports;
 mod wear;
 mod webhooks;
 mod websocket;
+mod websocket_stops;
 mod without_connection;
 mod wsg_port;
 mod zenoh;

@@ -1,9 +1,12 @@
 //! WebSocket: JSON-RPC 2.0 with operations as methods and updates as notifications.
 //!
-//! A client's `socket` reads and answers requests. Its `writer` sends responses and updates on another runtime, from an
-//! `outbox` with bounded bytes.
+//! A client's `socket` reads and answers requests, until its `farewell`. Its `writer` sends responses and updates on
+//! another runtime, from an `outbox` with bounded bytes.
 
+mod answered;
 mod bodies;
+mod end;
+mod farewell;
 #[cfg(any(test, fuzzing))]
 pub(crate) mod fuzz;
 mod halves;

@@ -113,14 +113,14 @@ pub fn has_fast_stop(text: &str) -> bool {
 
 /// Parses a message. An invalid message that names a FAST STOP is a FAST STOP of all grippers.
 pub fn parse(text: &str) -> Incoming {
-    let invalid = |code, problem: Problem| {
-        Incoming::One(match fast_stop_in(text) {
-            Some(name) => {
-                Ok(RpcCall { id: Some(Value::Null), method: name.to_owned(), params: Value::Null, label: None })
-            }
-            None => Err(RpcResponse::invalid(Value::Null, code, problem)),
-        })
+    let fast_stop = || {
+        let name = fast_stop_in(text)?;
+        Some(RpcCall { id: Some(Value::Null), method: name.to_owned(), params: Value::Null, label: None })
     };
+    let invalid = |code, problem: Problem| {
+        Incoming::One(fast_stop().ok_or_else(|| RpcResponse::invalid(Value::Null, code, problem)))
+    };
+    let is_fast_stop = |call: &Result<RpcCall, _>| call.as_ref().is_ok_and(|call| is_fast_stop(&call.method));
     match serde_json::from_str(text).map(|StrictJson(message)| message) {
         Err(error) => {
             let code = if error.is_data() { INVALID_REQUEST } else { PARSE_ERROR };
@@ -133,8 +133,17 @@ pub fn parse(text: &str) -> Incoming {
             let detail = format!("the batch has {} requests; at most {MAX_BATCH} are allowed", batch.len());
             invalid(INVALID_REQUEST, malformed(detail))
         }
-        Ok(Value::Array(batch)) => Incoming::Batch(batch.into_iter().map(call).collect()),
-        Ok(one) => Incoming::One(call(one)),
+        Ok(Value::Array(batch)) => {
+            let mut calls: Vec<_> = batch.into_iter().map(call).collect();
+            if !calls.iter().any(is_fast_stop)
+                && let Some(invalid) = calls.iter_mut().find(|call| call.is_err())
+                && let Some(fast_stop) = fast_stop()
+            {
+                *invalid = Ok(fast_stop);
+            }
+            Incoming::Batch(calls)
+        }
+        Ok(one) => Incoming::One(call(one).or_else(|refused| fast_stop().ok_or(refused))),
     }
 }
 
@@ -252,6 +261,15 @@ mod tests {
             assert_eq!(one(&request).unwrap().method, "fast-stop");
         }
         assert_eq!(one(&json!({"method": "fleet.fast-stop"})).unwrap().method, "fleet.fast-stop");
+        for request in
+            [json!("fast-stop"), json!({"params": {"method": "fast-stop"}}), json!({"method": ["fast-stop"]})]
+        {
+            assert_eq!(one(&request).unwrap().method, "fast-stop", "{request}");
+        }
+        let batch = json!([{"jsonrpc": "2.0", "id": 1, "method": "state"}, ["fast-stop"], 7]);
+        let Incoming::Batch(calls) = parse(&batch.to_string()) else { panic!("{batch}") };
+        let methods: Vec<_> = calls.iter().map(|call| call.as_ref().map(|call| call.method.as_str()).ok()).collect();
+        assert_eq!(methods, [Some("state"), Some("fast-stop"), None]);
         let request = r#"{"jsonrpc": "2.0", "id": 1, "method": "fast-stop", "params": {"gripper": "left"}}"#;
         let batch = format!("[{}]", [request; MAX_BATCH + 1].join(","));
         let nested = format!("{}{request}", "[".repeat(200));

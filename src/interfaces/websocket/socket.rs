@@ -12,25 +12,23 @@ use std::time::Duration;
 use bytes::Bytes;
 use futures_util::future::{BoxFuture, FutureExt as _, join_all};
 use futures_util::stream::{FuturesUnordered, StreamExt as _};
-use serde_json::Value;
-use serde_json::value::{RawValue, to_raw_value};
-use tokio::time::{Instant, Interval, MissedTickBehavior, sleep_until, timeout};
+use tokio::time::{Instant, Interval, MissedTickBehavior, sleep_until};
 use tokio_tungstenite::WebSocketStream;
-use tokio_tungstenite::tungstenite::error::ProtocolError;
 use tokio_tungstenite::tungstenite::protocol::frame::Frame;
 use tokio_tungstenite::tungstenite::protocol::frame::coding::CloseCode;
-use tokio_tungstenite::tungstenite::protocol::{CloseFrame, Role, WebSocketConfig};
+use tokio_tungstenite::tungstenite::protocol::{Role, WebSocketConfig};
 use tokio_tungstenite::tungstenite::{Error as WsError, Message};
 use tokio_util::task::AbortOnDropHandle;
 
-use super::bodies::{self, Following};
+use super::answered::{Answered, MessageResult, raw};
+use super::bodies;
+use super::end::{SocketEnd, end_of};
 use super::halves::{self, Inbound};
 use super::outbox::Outbox;
 use super::rpc::{self, Incoming, RpcCall, RpcError, RpcResponse};
 use super::writer::Writer;
 use crate::access::{Right, Visitor};
 use crate::events::{Notification, encoded, text_frame};
-use crate::gripper::Ticket;
 use crate::gripper::model::{Client, CommandReport, LossCause, Name, Urgency};
 use crate::interfaces::Context;
 use crate::interfaces::admission::{Claim, Class, ConnectionPermit, HeldBytes};
@@ -38,9 +36,7 @@ use crate::interfaces::client_stream::ClientStream;
 use crate::interfaces::metrics::Connected;
 use crate::interfaces::pace::RequestPace;
 use crate::operations::json::MAX_BODY_BYTES;
-use crate::operations::{
-    Caller, Code, ConnectionLease, Effect, OperationReply, Problem, is_fast_stop, lease, named, require, urgency,
-};
+use crate::operations::{Caller, Code, ConnectionLease, Problem, is_fast_stop, lease, named, require, urgency};
 
 const PINGED_EVERY: Duration = Duration::from_secs(1);
 
@@ -64,9 +60,6 @@ const MAX_COMMANDS: usize = 64;
 /// Read buffer size: requests are small, and there can be a thousand clients.
 const READ_BYTES: usize = 1024;
 
-/// Time limit of the closing handshake.
-const FAREWELL_WITHIN: Duration = Duration::from_secs(1);
-
 /// A connection after its upgrade to a WebSocket.
 pub struct Connection {
     pub stream: ClientStream,
@@ -78,16 +71,16 @@ pub struct Connection {
 }
 
 pub struct Socket {
-    client: Client,
+    pub(super) client: Client,
     visitor: Visitor,
     /// Whether the client has ever subscribed to updates.
     is_subscribed: bool,
     context: Context,
-    permit: Option<Arc<ConnectionPermit>>,
-    outbox: Arc<Outbox>,
-    writer: AbortOnDropHandle<io::Result<()>>,
-    incoming: WebSocketStream<Inbound>,
-    calls: FuturesUnordered<BoxFuture<'static, Done>>,
+    pub(super) permit: Option<Arc<ConnectionPermit>>,
+    pub(super) outbox: Arc<Outbox>,
+    pub(super) writer: AbortOnDropHandle<io::Result<()>>,
+    pub(super) incoming: WebSocketStream<Inbound>,
+    calls: FuturesUnordered<BoxFuture<'static, MessageResult>>,
     /// Number of requests in `calls`, where a batch is one call with several requests.
     under_way: usize,
     /// Bytes of the running requests.
@@ -97,7 +90,7 @@ pub struct Socket {
     running: FuturesUnordered<BoxFuture<'static, CommandReport>>,
     /// The newest lease of each gripper that was taken on this socket. Unless released, a lease is lost with the
     /// socket. A connection with a lease is not evicted.
-    leases: HashMap<Name, (Arc<ConnectionLease>, Option<Claim>)>,
+    pub(super) leases: HashMap<Name, (Arc<ConnectionLease>, Option<Claim>)>,
     pings: Interval,
     /// Pings since the client last sent anything.
     unanswered: u32,
@@ -107,58 +100,6 @@ pub struct Socket {
     _connected: Connected,
     /// Dropped after the descriptors.
     _claim: Option<Claim>,
-}
-
-/// The result of a message.
-#[derive(Default)]
-struct Done {
-    requests: usize,
-    bytes: usize,
-    answer: Option<String>,
-    running: Vec<Ticket>,
-    leases: Vec<Arc<ConnectionLease>>,
-    following: Option<Following>,
-}
-
-/// The result of one request.
-#[derive(Default)]
-struct Answered {
-    answer: Option<RpcResponse>,
-    running: Option<Ticket>,
-    lease: Option<Arc<ConnectionLease>>,
-    following: Option<Following>,
-}
-
-impl Answered {
-    fn new(id: Option<Value>, result: Result<OperationReply, Problem>) -> Self {
-        let has_id = id.is_some();
-        let (result, effect) = match result {
-            Ok(OperationReply { body, effect, .. }) => (Ok(body), effect),
-            Err(problem) => (Err(problem.into()), Effect::None),
-        };
-        let (running, lease) = match effect {
-            // The end of a command is reported only if its start was.
-            Effect::Running { ticket, .. } => (Some(ticket).filter(|_| has_id), None),
-            Effect::Leased(lease) => (None, Some(lease)),
-            Effect::None | Effect::Waiting => (None, None),
-        };
-        Self { answer: id.map(|id| RpcResponse::new(id, result)), running, lease, following: None }
-    }
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum SocketEnd {
-    /// The gateway shuts down.
-    Closing,
-    /// The client closed the socket or vanished.
-    Closed,
-    /// Writing failed because the connection has ended.
-    Unwritable,
-    /// The client stopped answering pings.
-    Lost,
-    Evicted,
-    /// The client violated the protocol or its limits.
-    Violation(CloseCode, &'static str),
 }
 
 /// Serves a connection until its end. A task takes as much memory as its future ever needs, so the large parts are
@@ -221,41 +162,8 @@ impl Socket {
         }))
     }
 
-    async fn run(mut self: Box<Self>) {
-        let end = self.read().await;
-        tracing::debug!(client = %self.client.subject, ?end, "WebSocket ended");
-        // On shutdown the gateway has already released its grippers.
-        for (lease, _) in self.leases.values().filter(|_| end != SocketEnd::Closing) {
-            lease.lose(LossCause::Disconnected).await;
-        }
-        let (code, reason) = match end {
-            SocketEnd::Closing => (CloseCode::Away, "the gateway is shutting down"),
-            SocketEnd::Lost => (CloseCode::Policy, "pings were not answered"),
-            SocketEnd::Evicted => (CloseCode::Again, "evicted: too many connections, or too many unread bytes"),
-            SocketEnd::Violation(code, reason) => (code, reason),
-            SocketEnd::Closed => (CloseCode::Normal, ""),
-            SocketEnd::Unwritable => return,
-        };
-        if end != SocketEnd::Closed {
-            self.outbox.push(encoded(Frame::close(Some(CloseFrame { code, reason: reason.into() }))));
-        }
-        self.outbox.close();
-        let farewell = async {
-            // A vanished client does not read the farewell.
-            if matches!((&mut self.writer).await, Ok(Ok(()))) {
-                while let Some(Ok(_)) = self.incoming.next().await {
-                    self.incoming.get_mut().taken();
-                }
-            }
-        };
-        let within = match (&self.permit, end) {
-            (Some(permit), SocketEnd::Evicted) => permit.linger(),
-            _ => FAREWELL_WITHIN,
-        };
-        let _ = timeout(within, farewell).await;
-    }
-
-    async fn read(&mut self) -> SocketEnd {
+    /// Reads and answers requests until the socket ends.
+    pub(super) async fn read(&mut self) -> SocketEnd {
         let permit = self.permit.clone();
         let evicted = async {
             match permit {
@@ -316,7 +224,7 @@ impl Socket {
             self.calls.push(
                 async move {
                     lease.lose(LossCause::Forbidden).await;
-                    Done::default()
+                    MessageResult::default()
                 }
                 .boxed(),
             );
@@ -331,15 +239,15 @@ impl Socket {
         match message {
             Some(Ok(Message::Text(text))) => self.take_requests(&text),
             Some(Ok(Message::Binary(bytes))) => {
-                match std::str::from_utf8(&bytes).ok().filter(|text| rpc::has_fast_stop(text)) {
-                    Some(text) => self.take_requests(text),
-                    None => {
-                        return Some(SocketEnd::Violation(
-                            CloseCode::Unsupported,
-                            "binary frames are not supported, except a FAST STOP",
-                        ));
-                    }
+                // A reason in another encoding must not keep the fingers moving.
+                let text = String::from_utf8_lossy(&bytes);
+                if !rpc::has_fast_stop(&text) {
+                    return Some(SocketEnd::Violation(
+                        CloseCode::Unsupported,
+                        "binary frames are not supported, except a FAST STOP",
+                    ));
                 }
+                self.take_requests(&text);
             }
             Some(Ok(Message::Ping(_) | Message::Pong(_) | Message::Frame(_))) => {}
             Some(Err(error)) => return Some(end_of(&error)),
@@ -358,7 +266,8 @@ impl Socket {
         self.request_bytes += bytes;
         self.count();
         let answered: Vec<_> = calls.into_iter().map(|call| self.answered(call)).collect();
-        let done = join_all(answered).map(move |answered| Done { bytes, ..Done::of(requests, answered, is_batch) });
+        let done = join_all(answered)
+            .map(move |answered| MessageResult { bytes, ..MessageResult::of(requests, answered, is_batch) });
         self.calls.push(done.boxed());
     }
 
@@ -369,7 +278,8 @@ impl Socket {
         }
     }
 
-    fn answered(&self, call: Result<RpcCall, RpcResponse>) -> BoxFuture<'static, Answered> {
+    /// Begins a request.
+    pub(super) fn answered(&self, call: Result<RpcCall, RpcResponse>) -> BoxFuture<'static, Answered> {
         let ready = |answered| std::future::ready(answered).boxed();
         let RpcCall { id, method, params, label } = match call {
             Ok(call) => call,
@@ -406,7 +316,7 @@ impl Socket {
         let (gateway, client, metrics) =
             (self.context.gateway.clone(), self.client.clone(), self.context.metrics.clone());
         let identity = self.visitor.identity(&gateway.access);
-        let (is_urgent, pace) = (urgency(&method) != Urgency::None, self.pace.clone());
+        let (is_urgent, pace, name) = (urgency(&method) != Urgency::None, self.pace.clone(), method.clone());
         let answered = async move {
             // The FAST STOPs of a batch arrive all at once.
             if is_fast_stop(&method) {
@@ -418,7 +328,8 @@ impl Socket {
             metrics.answered(Some(&method), "CALL", status);
             Answered::new(id, result)
         };
-        if is_urgent {
+        // Commands start in the order of their requests: a Stop must not overtake the motion before it.
+        if is_urgent || named(&name).any(|operation| operation.starts_command) {
             return answered.boxed();
         }
         // A call that panicked gets no response.
@@ -440,7 +351,7 @@ impl Socket {
             .then(|| format!("too many requests on this socket ({MAX_CALLS} in progress): wait for their responses"))
     }
 
-    fn take_done(&mut self, done: Done) {
+    fn take_done(&mut self, done: MessageResult) {
         self.under_way -= done.requests;
         self.request_bytes -= done.bytes;
         self.count();
@@ -460,40 +371,5 @@ impl Socket {
             let pin = self.permit.as_ref().and_then(|permit| permit.claim(Class::Pinned));
             self.leases.insert(lease.gripper().clone(), (lease, pin));
         }
-    }
-}
-
-impl Done {
-    fn of(requests: usize, all: Vec<Answered>, is_batch: bool) -> Self {
-        let mut done = Self { requests, ..Self::default() };
-        let mut answers = Vec::new();
-        for answered in all {
-            answers.extend(answered.answer);
-            done.running.extend(answered.running);
-            done.leases.extend(answered.lease);
-            done.following = answered.following.or(done.following);
-        }
-        let json = match answers.as_slice() {
-            [] => return done,
-            [answer] if !is_batch => serde_json::to_string(answer),
-            answers => serde_json::to_string(answers),
-        };
-        done.answer = json.inspect_err(|error| tracing::error!(%error, "response could not be serialised")).ok();
-        done
-    }
-}
-
-fn raw(body: &impl serde::Serialize) -> Result<Box<RawValue>, RpcError> {
-    let problem = |error| Problem::new(Code::Internal, format!("response could not be serialised: {error}"));
-    to_raw_value(body).map_err(|error| problem(error).into())
-}
-
-fn end_of(error: &WsError) -> SocketEnd {
-    match error {
-        WsError::Capacity(_) => SocketEnd::Violation(CloseCode::Size, "message exceeds 64 KiB"),
-        WsError::Utf8(_) => SocketEnd::Violation(CloseCode::Invalid, "text message is not valid UTF-8"),
-        WsError::Protocol(ProtocolError::ResetWithoutClosingHandshake) => SocketEnd::Closed,
-        WsError::Protocol(_) => SocketEnd::Violation(CloseCode::Protocol, "invalid WebSocket frame (RFC 6455)"),
-        _ => SocketEnd::Closed,
     }
 }

@@ -94,6 +94,10 @@ impl Socket {
         self.stream.send(Message::text(text.into())).await.unwrap();
     }
 
+    pub async fn send_binary(&mut self, bytes: Vec<u8>) {
+        self.stream.send(Message::binary(bytes)).await.unwrap();
+    }
+
     /// Sends a request without waiting for its answer, and returns its id.
     pub async fn begin(&mut self, method: &str, params: Value) -> u64 {
         self.last_id += 1;

@@ -1,0 +1,45 @@
+//! Stops and FAST STOPs on a WebSocket: after a motion, with mistakes, and just before the socket's end.
+
+use serde_json::{Value, json};
+
+use crate::harness::{Gateway, Simulator, Socket};
+
+#[tokio::test]
+async fn stop_does_not_overtake_the_motion_before_it() {
+    let device = Simulator::start(&[]).await;
+    let gateway = Gateway::homed_at(device.address).await;
+    let mut socket = Socket::open(&gateway).await;
+    for round in 0..20 {
+        let width_mm = if round % 2 == 0 { 5 } else { 100 };
+        let motion = json!({"gripper": "g", "width_mm": width_mm, "speed_mm_s": 50});
+        let motion = socket.begin("move", motion).await;
+        let stop = socket.begin("stop", json!({"gripper": "g"})).await;
+        let moved = socket.answer(motion).await["result"].clone();
+        socket.answer(stop).await;
+        // A motion that was stopped before the gripper accepted it has ended already.
+        let moved = match &moved["outcome"] {
+            Value::Null => socket.notification("command", |command| command["id"] == moved["id"]).await,
+            _ => moved,
+        };
+        assert_eq!(moved["outcome"], "ABORTED", "round {round}: {moved}");
+    }
+}
+
+#[tokio::test]
+async fn fast_stop_in_another_encoding_or_after_a_mistake_counts() {
+    let device = Simulator::start(&[]).await;
+    let gateway = Gateway::homed_at(device.address).await;
+    // "Tür" in ISO 8859-1.
+    let latin_1 =
+        b"{\"jsonrpc\": \"2.0\", \"id\": 1, \"method\": \"fast-stop\", \"params\": {\"reason\": \"T\xFCr\"}}".to_vec();
+    let well_formed = br#"{"jsonrpc": "2.0", "id": 1, "method": "fast-stop"}"#.to_vec();
+    // The first message of the second case ends the socket.
+    for messages in [vec![latin_1], vec![vec![0xFF], well_formed]] {
+        let mut socket = Socket::open(&gateway).await;
+        for message in messages {
+            socket.send_binary(message).await;
+        }
+        let state = gateway.until("a FAST STOP", |state| state["fast_stop_confirmed"] == true).await;
+        gateway.post("acknowledge", &json!({"fast_stop_id": state["fast_stop_id"]})).await.ok();
+    }
+}
