@@ -53,21 +53,23 @@ impl Subscriptions {
         self.0.iter().any(|subscription| subscription.on_change)
     }
 
-    /// Time of the next update, given the current values from `read`. Never earlier than the period allows.
-    pub fn due(&self, read: impl Fn(u8) -> Data) -> Option<Instant> {
+    /// Time of the next update, given the current values from `read`. Never earlier than the period allows. Without
+    /// `with_changes`, changes wait.
+    pub fn due(&self, with_changes: bool, read: impl Fn(u8) -> Data) -> Option<Instant> {
         let due = |subscription: &Subscription| {
-            let waits = subscription.on_change && !has_changed(&subscription.last, &read(subscription.id));
+            let has_changed = || with_changes && has_changed(&subscription.last, &read(subscription.id));
+            let waits = subscription.on_change && !has_changed();
             (!waits).then(|| subscription.last_at + subscription.period)
         };
         self.0.iter().filter_map(due).min()
     }
 
-    /// Returns the updates due at `now`, with their values from `read`.
-    pub fn take_due(&mut self, now: Instant, read: impl Fn(u8) -> Data) -> Vec<(u8, Data)> {
+    /// Returns the updates due at `now`, with their values from `read`. Without `with_changes`, changes wait.
+    pub fn take_due(&mut self, now: Instant, with_changes: bool, read: impl Fn(u8) -> Data) -> Vec<(u8, Data)> {
         let mut taken = Vec::new();
         for subscription in &mut self.0 {
             let value = read(subscription.id);
-            let waits = subscription.on_change && !has_changed(&subscription.last, &value);
+            let waits = subscription.on_change && !(with_changes && has_changed(&subscription.last, &value));
             if waits || now < subscription.last_at + subscription.period {
                 continue;
             }

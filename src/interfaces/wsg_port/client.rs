@@ -31,6 +31,9 @@ const READ_BYTES: usize = 1024;
 /// Steps for one client before another client's turn, so that no client can delay a gripper.
 const TURN: u32 = 16;
 
+/// Maximum number of reads after a client's end, so that a client that never stops sending is still lost.
+const MAX_LAST_READS: usize = 256;
+
 /// Time in which the first bytes of an evicted client must arrive.
 const FIRST_BYTES_WITHIN: Duration = Duration::from_millis(10);
 
@@ -136,7 +139,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             // At shutdown, the gripper was released cleanly. The client must still learn how its last motion ended.
             let _ = tokio::time::timeout(LAST_REPLIES_WITHIN, self.finish()).await;
             // After a reload, the gripper is still there.
-            self.leave_lease().await;
+            self.leave_lease(self.device.has_announced()).await;
             return;
         }
         if self.is_fresh {
@@ -148,14 +151,16 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             }
         }
         // Requests sent before the disconnect count: many clients send 07h and disconnect at once.
-        while let Some(Ok(bytes)) = self.read_now().filter(|read| !matches!(read, Ok(0))) {
+        for _ in 0..MAX_LAST_READS {
+            let Some(Ok(bytes)) = self.read_now().filter(|read| !matches!(read, Ok(0))) else { break };
             tracing::trace!(bytes, "read after the end");
             // Yields, since the grippers' actors run on the same thread.
             tokio::task::yield_now().await;
         }
         self.start_orders();
+        let has_announced = self.device.has_announced();
         self.device.forget_waiting();
-        self.leave_lease().await;
+        self.leave_lease(has_announced).await;
         // FAST STOPs of the client may still be waiting for their turn.
         let _ = tokio::time::timeout(LAST_REPLIES_WITHIN, self.finish_fast_stops()).await;
     }
@@ -251,8 +256,8 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
     }
 
     /// Releases the lease of a client that has announced its disconnect, and loses that of any other.
-    async fn leave_lease(&mut self) {
-        if self.device.has_announced() {
+    async fn leave_lease(&mut self, has_announced: bool) {
+        if has_announced {
             // An error means that the actor has ended and released its device.
             let _ = self.port.gripper.release_lease(Some(self.token.clone())).await;
         } else {

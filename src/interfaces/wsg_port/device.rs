@@ -163,13 +163,16 @@ impl VirtualDevice {
         self.input.handle_timeout(now);
         self.take_requests(now, state);
         self.take_up(now, state);
-        let due = self.subscriptions.take_due(now, |id| value(id, state));
-        // Without a link the values are stale.
-        if state.link == Link::Connected && self.frames.len() < MAX_FRAMES_BEFORE_UPDATES {
-            for (id, data) in due {
-                self.report(id, data, state);
-            }
+        let can_report = self.can_report(state);
+        let due = self.subscriptions.take_due(now, can_report, |id| value(id, state));
+        for (id, data) in due.into_iter().filter(|_| can_report) {
+            self.report(id, data, state);
         }
+    }
+
+    /// Whether updates can be sent. Without a link the values are stale.
+    fn can_report(&self, state: &State) -> bool {
+        state.link == Link::Connected && self.frames.len() < MAX_FRAMES_BEFORE_UPDATES
     }
 
     /// Handles the gripper's reply to an order.
@@ -225,7 +228,8 @@ impl VirtualDevice {
     }
 
     pub(super) fn poll_timeout(&self, state: &State) -> Option<Instant> {
-        self.input.deadline().into_iter().chain(self.subscriptions.due(|id| value(id, state))).min()
+        let update = self.subscriptions.due(self.can_report(state), |id| value(id, state));
+        self.input.deadline().into_iter().chain(update).min()
     }
 
     /// Whether every new state matters: for updates on change, or because a motion waits for a Stop and a FAST STOP has

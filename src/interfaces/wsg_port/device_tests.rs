@@ -290,6 +290,13 @@ fn updates_on_change_follow_a_change() {
     bench.state.state_code = Some(0);
     bench.pass(Duration::from_millis(1));
     assert_eq!(bench.sent(), [(id::GET_GRIPPER_STATE, Status::E_SUCCESS)]);
+    // A change without a link is sent once the link is back.
+    (bench.state.link, bench.state.state_code) = (Link::Reconnecting, Some(4));
+    bench.pass(Duration::from_secs(1));
+    assert_eq!(bench.sent(), []);
+    bench.state.link = Link::Connected;
+    bench.pass(Duration::from_millis(1));
+    assert_eq!(bench.sent(), [(id::GET_GRIPPER_STATE, Status::E_SUCCESS)]);
 }
 
 #[test]

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use serde_json::json;
 
 use super::{ABORTED, ACCESS_DENIED, Cell, GRIP, MOVE, SUCCESS};
-use crate::harness::wsg::{PENDING, floats, move_to};
+use crate::harness::wsg::{PENDING, floats, move_to, request};
 use crate::harness::{eventually, shortest};
 
 /// Longest delay from the end of a holder's connection to the FAST STOP, on an idle machine.
@@ -49,6 +49,22 @@ async fn announced_disconnect_during_a_motion_is_a_stop() {
     assert!(state["fast_stop"] == false && state["lease_holder"].is_null(), "{state}");
     assert_eq!((cell.proxy.frames.count(0x22), cell.proxy.frames.count(0x23)), (1, 0));
     assert_eq!(cell.proxy.frames.count(0x07), 0, "the gateway's own session stays open");
+}
+
+#[tokio::test]
+async fn announcement_behind_an_unanswered_motion_is_no_loss() {
+    let cell = Cell::homed().await;
+    for round in 1..=3 {
+        let mut driver = cell.driver().await;
+        let requests = [request(MOVE, &move_to(10.0, 5.0)), request(0x07, &[])].concat();
+        driver.send_raw(&requests).await;
+        drop(driver);
+        let events = cell.gateway.events("kind=lease&order=newest", 2 * round).await;
+        let steps: Vec<_> = events.iter().take(2).map(|event| &event["event"]).collect();
+        assert_eq!(steps, ["released", "taken"]);
+        let state = cell.gateway.until_standing().await;
+        assert!(state["fast_stop"] == false && state["reserved_for"].is_null(), "{state}");
+    }
 }
 
 #[tokio::test]
