@@ -6,14 +6,18 @@
 //!
 //! A connection can move to another runtime, so that the traffic of a thousand observers does not wake the thread of
 //! the old one.
+//!
+//! The server reads nothing while a request runs and bytes of the next one wait, so it does not notice the end of such
+//! a connection. The stream then notices it when it is flushed.
 
 use std::io::{self, IoSlice};
 use std::pin::Pin;
-use std::task::{Context, Poll, ready};
+use std::task::{Context, Poll};
 
-use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::io::{AsyncRead, AsyncWrite, Interest, ReadBuf};
 use tokio::net::TcpStream;
 use tokio::runtime::{self, Handle};
+use tokio_util::sync::CancellationToken;
 
 /// A TCP stream that acknowledges data at once and can change its runtime.
 #[derive(Debug)]
@@ -24,12 +28,36 @@ pub struct QuickAckStream {
     home: runtime::Id,
     /// Whether the stream stays there, because several runtimes use it.
     is_settled: bool,
+    /// Whether the server waits for bytes, and so notices the end of the connection.
+    is_reading: bool,
+    /// Cancelled when the client has ended the connection while the server does not read.
+    gone: CancellationToken,
 }
 
 impl QuickAckStream {
     /// Wraps a stream that is registered with the caller's runtime.
     pub fn new(stream: TcpStream) -> Self {
-        Self { stream: Some(stream), home: Handle::current().id(), is_settled: false }
+        let (home, gone) = (Handle::current().id(), CancellationToken::new());
+        Self { stream: Some(stream), home, is_settled: false, is_reading: false, gone }
+    }
+
+    /// Token that is cancelled when the client has ended the connection while the server does not read.
+    pub fn gone(&self) -> CancellationToken {
+        self.gone.clone()
+    }
+
+    /// Looks for the end of a connection that the server does not read.
+    fn notice_end(&mut self, cx: &mut Context<'_>) {
+        if self.is_reading || self.gone.is_cancelled() {
+            return;
+        }
+        let Ok(stream) = self.stream() else { return };
+        let ready = std::pin::pin!(stream.ready(Interest::READABLE)).poll(cx);
+        // The future above no longer wakes the task.
+        let _ = stream.poll_read_ready(cx);
+        if matches!(ready, Poll::Ready(Ok(ready)) if ready.is_read_closed()) {
+            self.gone.cancel();
+        }
     }
 
     /// Returns the stream, registered with the caller's runtime.
@@ -72,9 +100,12 @@ impl QuickAckStream {
 impl AsyncRead for QuickAckStream {
     fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, buffer: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         let mut stream = self.stream()?;
-        ready!(stream.as_mut().poll_read(cx, buffer))?;
-        acknowledge(&stream);
-        Poll::Ready(Ok(()))
+        let read = stream.as_mut().poll_read(cx, buffer);
+        if read.is_ready() {
+            acknowledge(&stream);
+        }
+        self.is_reading = read.is_pending();
+        read
     }
 }
 
@@ -84,6 +115,7 @@ impl AsyncWrite for QuickAckStream {
     }
 
     fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        self.notice_end(cx);
         self.stream()?.poll_flush(cx)
     }
 

@@ -23,19 +23,23 @@ async fn moved(gateway: &Gateway, token: &str, body: &Value) -> crate::harness::
     gateway.send(gateway.request("POST", "move?wait_ms=20000").header("Wsg-Lease", token).json(body)).await
 }
 
-/// Opens a connection that starts a motion and waits for its end.
-async fn client(gateway: &Gateway, token: &str) -> TcpStream {
+/// Opens a connection that starts a motion and waits for its end. `rest` follows the request.
+async fn client_with(gateway: &Gateway, token: &str, rest: &str) -> TcpStream {
     let url = gateway.url("move?wait_ms=20000");
     let (host, path) = url.strip_prefix("http://").unwrap().split_once('/').unwrap();
     let body = slow().to_string();
     let request = format!(
-        "POST /{path} HTTP/1.1\r\nHost: {host}\r\nWsg-Lease: {token}\r\nContent-Length: {}\r\n\r\n{body}",
+        "POST /{path} HTTP/1.1\r\nHost: {host}\r\nWsg-Lease: {token}\r\nContent-Length: {}\r\n\r\n{body}{rest}",
         body.len()
     );
     let mut stream = TcpStream::connect(host).await.unwrap();
     stream.write_all(request.as_bytes()).await.unwrap();
     gateway.until_moving().await;
     stream
+}
+
+async fn client(gateway: &Gateway, token: &str) -> TcpStream {
+    client_with(gateway, token, "").await
 }
 
 #[tokio::test]
@@ -65,6 +69,24 @@ async fn holder_killed_during_a_motion_is_a_fast_stop() {
     })
     .await;
     assert!(after >= Duration::from_millis(400) && after <= longest, "{after:?}");
+}
+
+#[tokio::test]
+async fn holder_killed_with_bytes_behind_its_request_is_a_fast_stop() {
+    let device = Simulator::start(&[]).await;
+    let gateway = Gateway::homed_at(device.address).await;
+    for rest in ["\r\n", "GET /livez HTTP/1.1\r\n"] {
+        let token = take(&gateway, "robot", 500).await;
+        let client = client_with(&gateway, &token, rest).await;
+        drop(client);
+        let killed = Instant::now();
+        let state = gateway.until("the latch", |state| state["fast_stop_confirmed"] == true).await;
+        // The motion takes 10 s.
+        assert!(killed.elapsed() < Duration::from_secs(5), "{rest:?}: {:?}", killed.elapsed());
+        assert_eq!(state["fast_stop_reason"], "lease holder robot lost");
+        gateway.post("acknowledge", &json!({"fast_stop_id": state["fast_stop_id"]})).await.ok();
+        gateway.post("home", &json!({})).await.outcome("SUCCESS");
+    }
 }
 
 #[tokio::test]

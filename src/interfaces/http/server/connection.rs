@@ -11,7 +11,7 @@ use axum::Router;
 use axum::body::Body;
 use axum::http::header::{ORIGIN, STRICT_TRANSPORT_SECURITY};
 use axum::http::{HeaderName, HeaderValue, Request, StatusCode};
-use axum::response::Response;
+use axum::response::{IntoResponse as _, Response};
 use futures_util::future::{BoxFuture, FutureExt as _, TryFutureExt as _};
 use hyper::body::{Body as _, Incoming};
 use hyper::server::conn::http1;
@@ -20,6 +20,7 @@ use hyper_util::rt::{TokioIo, TokioTimer};
 use tokio::runtime::Handle;
 use tokio::sync::watch;
 use tokio::time::timeout;
+use tokio_util::either::Either;
 use tokio_util::sync::CancellationToken;
 use tower::ServiceExt;
 
@@ -90,7 +91,7 @@ impl Server {
         permit: Arc<ConnectionPermit>,
         connected: Connected,
     ) {
-        let Begun { stream, certificate, is_fast_stop } = begun;
+        let Begun { mut stream, certificate, is_fast_stop } = begun;
         let runtimes = &self.context.runtimes;
         let runtime = if is_fast_stop { runtimes.accept.clone() } else { runtimes.requests.clone() };
         let (moves, home) = watch::channel(runtime.clone());
@@ -101,6 +102,10 @@ impl Server {
             mover: RuntimeMover::new(moves),
             pace: Arc::default(),
             has_served: Arc::default(),
+            gone: match &mut stream {
+                Either::Left(stream) => stream.gone(),
+                Either::Right(stream) => stream.below().gone(),
+            },
         };
         let http = http1::Builder::new()
             .timer(TokioTimer::new())
@@ -177,6 +182,8 @@ struct Requests {
     pace: Arc<RequestPace>,
     /// Whether a request has arrived.
     has_served: Arc<AtomicBool>,
+    /// Cancelled when the client has ended the connection, although bytes of a further request wait.
+    gone: CancellationToken,
 }
 
 impl Service<Request<Incoming>> for Requests {
@@ -203,7 +210,17 @@ impl Service<Request<Incoming>> for Requests {
         extensions.insert(self.mover.clone());
         extensions.insert(self.pace.clone());
         let response = self.server.router.clone().oneshot(request.map(Body::new));
-        response.map_ok(move |response| with_headers(response, &settings)).boxed()
+        let response = response.map_ok(move |response| with_headers(response, &settings));
+        let gone = self.gone.clone();
+        let answered = async move {
+            tokio::select! {
+                biased;
+                response = response => response,
+                // Dropping the request ends its use of the lease. Nobody reads this response.
+                () = gone.cancelled() => Ok(StatusCode::REQUEST_TIMEOUT.into_response()),
+            }
+        };
+        answered.boxed()
     }
 }
 
