@@ -192,11 +192,17 @@ impl Handle {
         self.requests.same_channel(&other.requests)
     }
 
+    /// Whether the gateway no longer serves the gripper, because a reload has removed or replaced it.
+    #[must_use]
+    pub fn has_ended(&self) -> bool {
+        self.requests.is_closed()
+    }
+
     /// The newest state. Causes no request to the device.
     #[must_use]
     pub fn state(&self) -> Arc<State> {
         let state = self.state.borrow().clone();
-        if self.requests.is_closed() {
+        if self.has_ended() {
             // The last state must not look current.
             let link_cause = Some("the gateway has disconnected from this gripper".to_owned());
             let fault = state.latch.is_none().then_some(Fault::LinkDown.code());

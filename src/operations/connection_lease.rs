@@ -36,10 +36,11 @@ impl ConnectionLease {
         self.token.as_str() == token
     }
 
-    /// Whether the lease is still held, rather than free or another client's.
+    /// Whether the lease is still held, rather than free or another client's. It ends with the gripper that a reload
+    /// removes or replaces.
     pub fn is_held(&self) -> bool {
         let state = self.handle.state();
-        state.lease_holder.is_some() && state.lease_epoch == self.epoch
+        !self.handle.has_ended() && state.lease_holder.is_some() && state.lease_epoch == self.epoch
     }
 
     pub fn gripper(&self) -> &Name {
