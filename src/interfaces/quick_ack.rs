@@ -13,11 +13,16 @@
 use std::io::{self, IoSlice};
 use std::pin::Pin;
 use std::task::{Context, Poll};
+use std::time::Duration;
 
 use tokio::io::{AsyncRead, AsyncWrite, Interest, ReadBuf};
 use tokio::net::TcpStream;
 use tokio::runtime::{self, Handle};
+use tokio::time::{Sleep, sleep};
 use tokio_util::sync::CancellationToken;
+
+/// Interval of looks for the end of a connection whose bytes are not read.
+const LOOKS_EVERY: Duration = Duration::from_millis(100);
 
 /// A TCP stream that acknowledges data at once and can change its runtime.
 #[derive(Debug)]
@@ -32,13 +37,15 @@ pub struct QuickAckStream {
     is_reading: bool,
     /// Cancelled when the client has ended the connection while the server does not read.
     gone: CancellationToken,
+    /// Time of the next look, while bytes wait: the end of the connection then wakes nobody.
+    look_again: Option<Pin<Box<Sleep>>>,
 }
 
 impl QuickAckStream {
     /// Wraps a stream that is registered with the caller's runtime.
     pub fn new(stream: TcpStream) -> Self {
         let (home, gone) = (Handle::current().id(), CancellationToken::new());
-        Self { stream: Some(stream), home, is_settled: false, is_reading: false, gone }
+        Self { stream: Some(stream), home, is_settled: false, is_reading: false, gone, look_again: None }
     }
 
     /// Token that is cancelled when the client has ended the connection while the server does not read.
@@ -55,8 +62,15 @@ impl QuickAckStream {
         let ready = std::pin::pin!(stream.ready(Interest::READABLE)).poll(cx);
         // The future above no longer wakes the task.
         let _ = stream.poll_read_ready(cx);
-        if matches!(ready, Poll::Ready(Ok(ready)) if ready.is_read_closed()) {
-            self.gone.cancel();
+        match ready {
+            Poll::Ready(Ok(ready)) if ready.is_read_closed() => self.gone.cancel(),
+            Poll::Ready(_) => {
+                let mut look_again = Box::pin(sleep(LOOKS_EVERY));
+                // Pending, since it was just set.
+                let _ = look_again.as_mut().poll(cx);
+                self.look_again = Some(look_again);
+            }
+            Poll::Pending => self.look_again = None,
         }
     }
 

@@ -51,6 +51,12 @@ pub fn is_fast_stop<B>(request: &axum::http::Request<B>) -> bool {
     request.method() == Method::POST && request.uri().path().trim_end_matches('/').ends_with(FAST_STOP)
 }
 
+/// Whether a request stops fingers, judged by its path: a FAST STOP, a Stop or a cancel.
+pub fn is_stop<B>(request: &axum::http::Request<B>) -> bool {
+    let path = request.uri().path().trim_end_matches('/');
+    is_fast_stop(request) || ["/stop", "/cancel"].iter().any(|end| path.ends_with(end))
+}
+
 /// Whether a request that begins with these bytes can be a FAST STOP.
 pub fn may_be_fast_stop(first: &[u8]) -> bool {
     let line = first.split(|byte| *byte == b'\n').next().unwrap_or_default();

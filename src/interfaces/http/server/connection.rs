@@ -25,7 +25,7 @@ use tokio_util::sync::CancellationToken;
 use tower::ServiceExt;
 
 use super::super::context::HttpContext;
-use super::super::fast_stop::is_fast_stop;
+use super::super::fast_stop::{is_fast_stop, is_stop};
 use super::super::handshakes::Handshakes;
 use super::super::operation::Compact;
 use super::super::runtime_mover::RuntimeMover;
@@ -209,8 +209,14 @@ impl Service<Request<Incoming>> for Requests {
         extensions.insert(self.permit.clone());
         extensions.insert(self.mover.clone());
         extensions.insert(self.pace.clone());
+        let is_stop = is_stop(&request);
         let response = self.server.router.clone().oneshot(request.map(Body::new));
         let response = response.map_ok(move |response| with_headers(response, &settings));
+        if is_stop {
+            // Does not depend on its connection: hyper drops a request unpolled if the client has closed already.
+            let panicked = |_| Ok(StatusCode::INTERNAL_SERVER_ERROR.into_response());
+            return tokio::spawn(response).map(move |answered| answered.unwrap_or_else(panicked)).boxed();
+        }
         let gone = self.gone.clone();
         let answered = async move {
             tokio::select! {

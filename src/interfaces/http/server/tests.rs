@@ -286,6 +286,20 @@ async fn fast_stop_survives_client_disconnect() {
 }
 
 #[tokio::test]
+async fn stops_without_a_body_survive_client_disconnect() {
+    let mut server = start(ServerLimits::default(), FakeScript::default()).await;
+    for path in ["fast-stop", "grippers/left/fast-stop", "grippers/left/stop"] {
+        let mut client = server.connect().await;
+        // The server sees the request and the end of the connection at the same time.
+        let head = format!("POST /api/v1/{path} HTTP/1.1\r\nHost: localhost\r\n\r\n");
+        client.write_all(head.as_bytes()).await.unwrap();
+        drop(client);
+        let seen = server.seen.recv().await.unwrap();
+        assert_eq!(matches!(seen, Seen::FastStop(_)), path.ends_with("fast-stop"), "{path}: {seen:?}");
+    }
+}
+
+#[tokio::test]
 async fn fast_stop_with_oversized_body_is_answered() {
     let server = start(ServerLimits::default(), FakeScript::default()).await;
     let body = vec![b' '; 1024 * 1024];
