@@ -1,11 +1,12 @@
 //! One client's socket: its requests, its leases and its liveness.
 //!
 //! Nothing here waits for the client. Responses queue in the [`Outbox`], whose bytes are bounded. Requests are still
-//! read meanwhile, so that a FAST STOP works even if its client reads nothing. Urgent calls run here; all others run on
-//! the observers' runtime.
+//! read meanwhile, so that a FAST STOP works even if its client reads nothing. Urgent calls and changes of a gripper
+//! run here; all others run on the observers' runtime.
 
 use std::collections::HashMap;
 use std::io;
+use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -328,11 +329,15 @@ impl Socket {
             metrics.answered(Some(&method), "CALL", status);
             Answered::new(id, result)
         };
-        // Commands start in the order of their requests: a Stop must not overtake the motion before it.
-        if is_urgent || named(&name).any(|operation| operation.starts_command) {
-            return answered.boxed();
-        }
         // A call that panicked gets no response.
+        if is_fast_stop(&name) {
+            // Ends without the socket.
+            return tokio::spawn(answered).map(Result::unwrap_or_default).boxed();
+        }
+        // Changes of a gripper start in the order of their requests: a Stop must not overtake the motion before it.
+        if is_urgent || named(&name).any(|operation| operation.changes_something() && operation.is_of_gripper()) {
+            return AssertUnwindSafe(answered).catch_unwind().map(Result::unwrap_or_default).boxed();
+        }
         let answered = AbortOnDropHandle::new(self.context.runtimes.observers.spawn(answered));
         answered.map(Result::unwrap_or_default).boxed()
     }
