@@ -15,7 +15,7 @@ use rustix::io::Errno;
 use socketcan::tokio::CanSocket;
 use socketcan::{CanFilter, CanFrame, EmbeddedFrame, SocketOptions, StandardId};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio::time::{Interval, MissedTickBehavior, interval};
+use tokio::time::{Interval, MissedTickBehavior, Sleep, interval, sleep};
 use url::Url;
 
 use super::options::Options;
@@ -236,6 +236,9 @@ impl AsyncRead for Reader {
     }
 }
 
+/// Time limit for the kernel to report a slice as sent. A lost report must not block all later frames.
+const SENT_WITHIN: Duration = Duration::from_secs(5);
+
 /// Sends each write as one frame, which starts in a new slice.
 ///
 /// Without another node that acknowledges it, a controller repeats a slice for ever, even after the link was closed. So
@@ -246,20 +249,26 @@ struct Writer {
     id: StandardId,
     /// Slices of the current frame that the kernel does not have yet.
     queue: VecDeque<CanFrame>,
-    /// The slice that the kernel has, until it reports it as sent.
-    sent: Option<CanFrame>,
+    /// The slice that the kernel has, until it reports it as sent, and the time limit for the report.
+    sent: Option<(CanFrame, Pin<Box<Sleep>>)>,
     pacer: Pacer,
 }
 
 impl Writer {
     /// Waits until the kernel has no slice.
     fn poll_sent(&mut self, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        while let Some(sent) = &self.sent {
-            let frame = match ready!(Pin::new(&mut self.socket).poll_next(cx)) {
-                Some(Ok(frame)) => frame,
-                Some(Err(socketcan::Error::Io(error))) => return Poll::Ready(Err(error)),
-                Some(Err(error)) => return Poll::Ready(Err(io::Error::other(error))),
-                None => return Poll::Ready(Err(io::ErrorKind::UnexpectedEof.into())),
+        while let Some((sent, limit)) = &mut self.sent {
+            let frame = match Pin::new(&mut self.socket).poll_next(cx) {
+                Poll::Ready(Some(Ok(frame))) => frame,
+                Poll::Ready(Some(Err(socketcan::Error::Io(error)))) => return Poll::Ready(Err(error)),
+                Poll::Ready(Some(Err(error))) => return Poll::Ready(Err(io::Error::other(error))),
+                Poll::Ready(None) => return Poll::Ready(Err(io::ErrorKind::UnexpectedEof.into())),
+                Poll::Pending => {
+                    ready!(limit.as_mut().poll(cx));
+                    let detail =
+                        format!("a frame was not sent within {} s: check cable and bit rate", SENT_WITHIN.as_secs());
+                    return Poll::Ready(Err(io::Error::new(io::ErrorKind::TimedOut, detail)));
+                }
             };
             // Another program can send with the same id.
             if frame.data() == sent.data() {
@@ -285,10 +294,12 @@ impl AsyncWrite for Writer {
         loop {
             ready!(this.poll_sent(cx))?;
             let Some(slice) = this.queue.front() else { break };
+            // Frames of other programs with the same id must not fill the buffer.
+            while this.socket.try_read_frame().is_ok() {}
             match this.socket.try_write_frame(*slice) {
                 Ok(()) => {
                     this.pacer.wrote(slice.dlc());
-                    this.sent = this.queue.pop_front();
+                    this.sent = this.queue.pop_front().map(|slice| (slice, Box::pin(sleep(SENT_WITHIN))));
                 }
                 Err(error) if is_full(&error) => {
                     this.pacer.hold(QUEUE_FULL);
