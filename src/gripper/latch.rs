@@ -146,7 +146,9 @@ impl LatchState {
     /// Takes the flags of a link that was set up. A device without a FAST STOP has forgotten it, so the latch is
     /// unconfirmed again, and 23h is sent.
     pub(super) fn link_set_up(&mut self, now: Instant, flags: Option<SystemState>) {
-        let is_forgotten = flags.is_some_and(|flags| !flags.contains(SystemState::FAST_STOP));
+        // While an acknowledgement is under way, the flags may show its success.
+        let is_forgotten =
+            self.acknowledging.is_none() && flags.is_some_and(|flags| !flags.contains(SystemState::FAST_STOP));
         if let Some(latch) = self.latch.as_mut().filter(|latch| latch.confirmed && is_forgotten) {
             latch.confirmed = false;
             self.flags_count_from = Some(now);

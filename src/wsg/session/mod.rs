@@ -61,6 +61,9 @@ pub const DUPLICATE_WITHIN: Duration = Duration::from_millis(5);
 /// Silence after which a Loop probes whether the device is still there.
 pub const PROBE_AFTER: Duration = Duration::from_millis(500);
 
+/// The same while the fingers may move on one of the slowest lines: longer than the period of its updates.
+const LONG_PROBE_AFTER: Duration = Duration::from_millis(1250);
+
 /// Size in bytes of the longest motion frame: flags and two floats. At 1200 baud, even this frame takes more than
 /// [`MAX_LINE_TIME_WHILE_MOVING`].
 const SHORT_FRAME_BYTES: usize = frame::OVERHEAD_BYTES + 9;
@@ -293,7 +296,7 @@ impl Session {
         self.expire_in_flight(now);
         self.expire_scripts(now);
         self.slots.expire_duplicates(now);
-        if self.probes_at().is_some_and(|at| at <= now) {
+        if self.probes_at() <= now {
             self.barrier.probe();
         }
     }
@@ -344,7 +347,7 @@ impl Session {
     #[must_use]
     pub fn poll_timeout(&self) -> Option<Instant> {
         let in_flight = self.slots.in_flight().map(|(_, in_flight)| in_flight.deadline).min();
-        let probe = self.probes_at().filter(|_| !self.barrier.is_in_flight() && !self.barrier.is_wanted());
+        let probe = (!self.barrier.is_in_flight() && !self.barrier.is_wanted()).then(|| self.probes_at());
         let (waiting, script) = (self.lanes.next_deadline(), self.slots.script_deadline());
         let (barrier, duplicate) = (self.barrier.deadline(), self.slots.duplicate_deadline());
         let deadlines = [in_flight, waiting, script, duplicate, barrier, self.partial_deadline(), probe];
@@ -380,12 +383,12 @@ impl Session {
         self.decoder.counters()
     }
 
-    /// Time at which a Loop probes whether the device is still there. On the slowest lines, none does while the fingers
-    /// may move, because a FAST STOP would have to wait for it.
-    fn probes_at(&self) -> Option<Instant> {
+    /// Time at which a Loop probes whether the device is still there. On the slowest lines, it comes later while the
+    /// fingers may move, because a FAST STOP would have to wait for it: periodic updates come first.
+    fn probes_at(&self) -> Instant {
         let line_time = self.config.line_time(frame::OVERHEAD_BYTES + barrier::NONCE_BYTES);
-        let is_too_long = self.may_move() && line_time > MAX_LINE_TIME_WHILE_MOVING;
-        (!is_too_long).then(|| self.last_heard + PROBE_AFTER)
+        let is_long = self.may_move() && line_time > MAX_LINE_TIME_WHILE_MOVING;
+        self.last_heard + if is_long { LONG_PROBE_AFTER } else { PROBE_AFTER }
     }
 
     /// Whether the fingers move, or can begin to move because of a motion whose end is not known.
