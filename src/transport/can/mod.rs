@@ -242,8 +242,7 @@ const SENT_WITHIN: Duration = Duration::from_secs(5);
 /// Sends each write as one frame, which starts in a new slice.
 ///
 /// Without another node that acknowledges it, a controller repeats a slice for ever, even after the link was closed. So
-/// each slice waits until the one before was sent: whatever is repeated once the cable is plugged in again is no whole
-/// motion.
+/// each slice waits until the one before was sent. Then no whole motion is repeated once the cable is plugged in again.
 struct Writer {
     socket: CanSocket,
     id: StandardId,
