@@ -38,7 +38,7 @@ async fn damage_of_the_newest_records_is_reported_at_the_start() {
     let health = journal.health().borrow().clone();
     let said = health.damage.expect("damage is reported before the first write");
     assert!(said.contains(&format!("events {}: ", MANY - 9)) && said.contains("journal verify --journal"), "{said}");
-    assert!(kept(&journal, started(1)).await, "records are still written");
+    keep(&journal, started(1)).await;
 }
 
 #[tokio::test]
@@ -84,7 +84,7 @@ async fn check_of_a_journal_that_is_written_and_pruned_finds_nothing() {
         record(&journal, admitted(number.into(), "left", number, None));
         record(&journal, done(number.into(), "left", number, None, Outcome::Success));
         if number % 1000 == 0 {
-            assert!(kept(&journal, started(1)).await);
+            keep(&journal, started(1)).await;
         }
     }
     journal.close().await.unwrap();
@@ -97,7 +97,7 @@ async fn check_of_a_journal_that_is_written_and_pruned_finds_nothing() {
     for number in 20_000.. {
         record(&journal, admitted(number.into(), "left", number, None));
         record(&journal, done(number.into(), "left", number, None, Outcome::Success));
-        assert!(kept(&journal, started(1)).await);
+        keep(&journal, started(1)).await;
         if check.is_finished() {
             break;
         }

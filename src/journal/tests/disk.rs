@@ -13,7 +13,7 @@ impl Journal {
 async fn full_disk_is_reported_and_waiting_records_are_kept() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
-    assert!(kept(&journal, started(1)).await);
+    keep(&journal, started(1)).await;
     journal.limit_pages(1);
     let mut health = journal.health();
     let mut number = 0;
@@ -29,7 +29,7 @@ async fn full_disk_is_reported_and_waiting_records_are_kept() {
     journal.limit_pages(1_000_000);
     health.wait_for(|health| health.failure.is_none()).await.unwrap();
     assert_eq!(journal.last_seq(), before + 2);
-    assert!(kept(&journal, link(number + 2, "left")).await);
+    keep(&journal, link(number + 2, "left")).await;
     journal.close().await.unwrap();
     assert_eq!(journal.health().borrow().lost, 0);
     let (_, recovered) = directory.open();
@@ -39,7 +39,7 @@ async fn full_disk_is_reported_and_waiting_records_are_kept() {
 #[tokio::test]
 async fn lost_records_are_counted_and_recorded() {
     let (journal, _) = Journal::open(JournalLocation::Memory, Retention::default()).unwrap();
-    assert!(kept(&journal, started(1)).await);
+    keep(&journal, started(1)).await;
     journal.limit_pages(1);
     let mut health = journal.health();
     while health.borrow().failure.is_none() {
@@ -101,7 +101,7 @@ async fn stalled_disk_is_reported_during_the_stall() {
     drop(stalled);
     assert!(waiting.await.unwrap());
     health.wait_for(|health| health.failure.is_none()).await.unwrap();
-    assert!(kept(&journal, started(3)).await);
+    keep(&journal, started(3)).await;
     assert_eq!(fields(&all(&journal).await, &["at"]).len(), 3);
     journal.close().await.unwrap();
     assert!(health.borrow().failure.as_deref().is_some_and(|failure| failure.contains("closed")));
@@ -111,7 +111,7 @@ async fn stalled_disk_is_reported_during_the_stall() {
 async fn full_queue_still_takes_ends_of_commands_and_persisted_values() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
-    assert!(kept(&journal, admitted(1, "left", 1, None)).await);
+    keep(&journal, admitted(1, "left", 1, None)).await;
     let stalled = stall(&directory);
     while journal.health().borrow().lost == 0 {
         for _ in 0..1000 {
@@ -137,7 +137,7 @@ async fn full_queue_still_takes_ends_of_commands_and_persisted_values() {
 async fn large_write_ahead_log_is_emptied_after_its_reader_has_gone() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
-    assert!(kept(&journal, started(1)).await);
+    keep(&journal, started(1)).await;
     let reader = rusqlite::Connection::open(directory.journal()).unwrap();
     reader.execute_batch("BEGIN; SELECT count(*) FROM events;").unwrap();
     let log = || std::fs::metadata(directory.0.join("journal.db-wal")).unwrap().len();

@@ -20,7 +20,7 @@ async fn journal_id_lasts_as_long_as_the_file() {
 async fn journal_of_an_earlier_version_gets_an_id() {
     let directory = Directory::new();
     let journal = directory.open().0;
-    assert!(kept(&journal, started(1)).await);
+    keep(&journal, started(1)).await;
     journal.close().await.unwrap();
     drop(journal);
     let connection = rusqlite::Connection::open(directory.journal()).unwrap();
@@ -47,7 +47,7 @@ async fn grip_is_broadcast_when_stored_and_when_its_part_is_lost() {
     journal.record(Record::Grip(Box::new(grip(1000, "left", 1, None))));
     next("null").await;
     let lost = Detail::Device(DeviceEvent::PartLost { width_mm: None });
-    assert!(kept(&journal, Event::new(at(61_000), Some(name("left")), lost).of(id(1))).await);
+    keep(&journal, Event::new(at(61_000), Some(name("left")), lost).of(id(1))).await;
     next(r#""1970-01-01T00:01:01.000Z""#).await;
 }
 
@@ -58,7 +58,7 @@ async fn forward_page_has_a_cursor_for_later_records() {
     let resume = async |query: &EventQuery| journal.events(query.clone()).await.unwrap().resume_cursor;
     assert_eq!(resume(&query).await.as_deref(), Some("0"));
     for number in 1..=3 {
-        assert!(kept(&journal, link(number, "left")).await);
+        keep(&journal, link(number, "left")).await;
     }
     assert_eq!(resume(&query).await.as_deref(), Some("3"));
     let later = EventQuery { cursor: Some(Cursor::after(3)), ..query.clone() };

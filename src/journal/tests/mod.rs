@@ -200,9 +200,9 @@ pub(super) fn fields(events: &[serde_json::Value], names: &[&str]) -> Vec<String
 async fn records_are_served_as_they_were_written() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
-    assert!(kept(&journal, admitted(1_700_000_000_123, "left", 1, Some("P-1"))).await);
+    keep(&journal, admitted(1_700_000_000_123, "left", 1, Some("P-1"))).await;
     journal.record(Record::Grip(Box::new(grip(1_700_000_000_123, "left", 1, Some("P-1")))));
-    assert!(kept(&journal, done(1_700_000_000_500, "left", 1, Some("P-1"), Outcome::PartHeld)).await);
+    keep(&journal, done(1_700_000_000_500, "left", 1, Some("P-1"), Outcome::PartHeld)).await;
     assert_eq!(journal.last_seq(), 2);
     let page = journal.events(EventQuery::default()).await.unwrap();
     assert_eq!(
@@ -233,7 +233,7 @@ async fn part_lost_later_shows_in_its_grip() {
     let (journal, _) = Journal::open(JournalLocation::Memory, Retention::default()).unwrap();
     journal.record(Record::Grip(Box::new(grip(1000, "left", 1, None))));
     let lost = crate::gripper::model::DeviceEvent::PartLost { width_mm: Some(3.0) };
-    assert!(kept(&journal, Event::new(at(61_000), Some(name("left")), Detail::Device(lost)).of(id(1))).await);
+    keep(&journal, Event::new(at(61_000), Some(name("left")), Detail::Device(lost)).of(id(1))).await;
     let page = journal.grips(GripQuery::default()).await.unwrap();
     assert!(page.bodies[0].ends_with(r#","part_lost_at":"1970-01-01T00:01:01.000Z"}"#), "{}", page.bodies[0]);
 }
@@ -246,7 +246,7 @@ async fn concurrent_records_are_numbered_without_a_gap() {
         let journal = journal.clone();
         tokio::spawn(async move {
             for number in 0..10 {
-                assert!(kept(&journal, link(number, &format!("g{client}"))).await);
+                keep(&journal, link(number, &format!("g{client}"))).await;
             }
         })
     });
@@ -283,7 +283,7 @@ async fn every_kind_of_event_can_be_written_and_read() {
     let (journal, _) = Journal::open(JournalLocation::Memory, Retention::default()).unwrap();
     let client = Client::new("http:\u{1F980}", Door::Http);
     for detail in details.clone() {
-        assert!(kept(&journal, Event::new(at(1), None, detail).by(&client)).await);
+        keep(&journal, Event::new(at(1), None, detail).by(&client)).await;
     }
     let kinds = fields(&all(&journal).await, &["kind"]);
     assert_eq!(kinds, ["fast_stop", "acknowledge", "device", "device", "settings", "settings", "refused", "gateway"]);

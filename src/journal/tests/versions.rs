@@ -31,7 +31,7 @@ async fn journal_of_each_format_opens_with_its_records_and_state() {
             (journal.last_seq(), journal.id().to_string().as_str()),
             (13, "01a20533-e813-7150-b08c-f5b471b2e93e")
         );
-        assert!(kept(&journal, started(1)).await);
+        keep(&journal, started(1)).await;
         journal.close().await.unwrap();
         drop(journal);
         assert_eq!(verify(&directory.journal()).unwrap().findings, []);
@@ -64,7 +64,7 @@ async fn backup_of_a_journal_in_use_is_complete() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
     for number in 1..=20 {
-        assert!(kept(&journal, link(number, "left")).await);
+        keep(&journal, link(number, "left")).await;
     }
     let (copy, mut copied) = (directory.0.join("copy.db"), (0, 0));
     back_up(&directory.journal(), &copy, |part, all| copied = (part, all)).unwrap();
