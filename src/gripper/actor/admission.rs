@@ -62,9 +62,8 @@ impl Actor {
         replay: Result<Option<Ticket>, Conflict>,
     ) -> Result<Ticket, Rejection> {
         let is_moving = self.is_moving(now.instant);
-        let before = replay.as_ref().ok().and_then(Option::as_ref).map(|ticket| ticket.now().outcome);
         if let Ok(Some(ticket)) = &replay
-            && before == Some(Some(Outcome::Success))
+            && ticket.now().outcome == Some(Outcome::Success)
             && !is_moving
         {
             return Ok(ticket.clone());
@@ -74,7 +73,7 @@ impl Actor {
         let without_id;
         let submission = match replay {
             Ok(None) => submission,
-            Ok(Some(ticket)) if before == Some(None) => {
+            Ok(Some(ticket)) if ticket.now().outcome.is_none() => {
                 self.withdraw_waiting_motion(now);
                 self.link.send_stop(now, OwnStop::new(self.motion.mover(now.instant)));
                 return Ok(ticket);

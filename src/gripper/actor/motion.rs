@@ -1,7 +1,5 @@
 //! Submitting, stopping and ending the command that moves the fingers.
 
-use std::time::Duration;
-
 use tokio::sync::oneshot;
 
 use super::super::Now;
@@ -22,14 +20,12 @@ impl Actor {
         }
         let Some(running) = self.motion.due(now.instant) else { return };
         let id = running.id;
-        if let Some(waited) = self.motion.is_late(now.instant) {
-            return self.reject_late(now, waited);
-        }
         match running.motion {
-            Motion::Grip { force: Some(force), .. } => {
+            Motion::Grip { force: Some(force), .. } if self.motion.is_late(now.instant).is_none() => {
                 let sent = self.link.submit(now, Command::SetForceLimit(force), Purpose::Force(id, force));
                 self.set_stage(now, id, sent.map(Stage::Force));
             }
+            // Refuses a late motion.
             _ => self.start_motion(now, id),
         }
     }
@@ -40,10 +36,11 @@ impl Actor {
         if let Some(fast_stop) = self.latch.id() {
             return self.reject_running(now, Conflict::FastStop { id: fast_stop }.into());
         }
-        if let Some(waited) = self.motion.is_late(now.instant) {
-            return self.reject_late(now, waited);
-        }
         let request = running.motion.request();
+        if let Some(waited) = self.motion.is_late(now.instant) {
+            let (command, waited_ms) = (super::name_of(&request), waited.as_millis() as u64);
+            return self.reject_running(now, Failure::Late { command, waited_ms }.into());
+        }
         let within = result_within(&running.motion, self.settings.stroke_mm());
         let sent = self.link.submit_within(now, request, Purpose::Motion(id), REPLY_WITHIN, within);
         self.set_stage(now, id, sent.map(Stage::Sent));
@@ -260,12 +257,6 @@ impl Actor {
 
     fn refusal(&self, command: &'static str, status: Status) -> Rejection {
         DeviceRefusal { command, status, fast_stop: self.latch.id() }.into()
-    }
-
-    fn reject_late(&mut self, now: Now, waited: Duration) {
-        let Some(running) = &self.motion.running else { return };
-        let (command, waited_ms) = (super::name_of(&running.motion.request()), waited.as_millis() as u64);
-        self.reject_running(now, Failure::Late { command, waited_ms }.into());
     }
 
     pub(super) fn reject_running(&mut self, now: Now, rejection: Rejection) {
