@@ -317,10 +317,12 @@ impl Socket {
         let (gateway, client, metrics) =
             (self.context.gateway.clone(), self.client.clone(), self.context.metrics.clone());
         let identity = self.visitor.identity(&gateway.access);
-        let (is_urgent, pace, name) = (urgency(&method) != Urgency::None, self.pace.clone(), method.clone());
+        let (is_fast_stop, is_urgent) = (is_fast_stop(&method), urgency(&method) != Urgency::None);
+        let is_change = named(&method).any(|operation| operation.changes_something() && operation.is_of_gripper());
+        let pace = self.pace.clone();
         let answered = async move {
             // The FAST STOPs of a batch arrive all at once.
-            if is_fast_stop(&method) {
+            if is_fast_stop {
                 pace.next_fast_stop().await;
             }
             let caller = Caller::new(client, identity).labelled(label.as_deref());
@@ -330,12 +332,12 @@ impl Socket {
             Answered::new(id, result)
         };
         // A call that panicked gets no response.
-        if is_fast_stop(&name) {
+        if is_fast_stop {
             // Ends without the socket.
             return tokio::spawn(answered).map(Result::unwrap_or_default).boxed();
         }
         // Changes of a gripper start in the order of their requests: a Stop must not overtake the motion before it.
-        if is_urgent || named(&name).any(|operation| operation.changes_something() && operation.is_of_gripper()) {
+        if is_urgent || is_change {
             return AssertUnwindSafe(answered).catch_unwind().map(Result::unwrap_or_default).boxed();
         }
         let answered = AbortOnDropHandle::new(self.context.runtimes.observers.spawn(answered));
