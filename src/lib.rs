@@ -13,7 +13,7 @@
 //! - [`events`]: live updates, serialised once for all clients.
 //! - [`trends`]: the measured values of the last ten minutes.
 //! - [`recipes`]: the values with which parts are gripped and released.
-//! - [`alarms`]: conditions that a person has to know of, until they are acknowledged.
+//! - [`alarms`]: conditions that a person must know about, until they are acknowledged.
 //! - [`fleet`]: the other gateways on the Zenoh network.
 //! - [`wear`]: use of the fingers, and drift of contact widths.
 //! - [`journal`]: events and grip records that outlive the gateway, in SQLite.

@@ -7,8 +7,9 @@ use utoipa::ToSchema;
 ///
 /// - `stop`: makes FAST STOPs and Stops, and nothing else, e.g. for the controller of a light curtain
 /// - `observer`: reads
-/// - `operator`: reads, moves the gripper, holds its lease, changes its settings and acknowledges
-/// - `supervisor`: does all that, takes leases by force, and sends raw requests in the device's protocol
+/// - `operator`: reads, moves and stops the gripper, holds its lease, changes its settings and acknowledges
+/// - `supervisor`: does all that, takes leases by force, sends raw requests in the device's protocol, tests webhooks,
+///   and reloads the configuration
 #[derive(
     Debug,
     Clone,

@@ -1,4 +1,4 @@
-//! Alarms: conditions of the grippers and of the gateway that a person has to know of. All clients share them.
+//! Alarms: conditions of the grippers and of the gateway that a person must know about. All clients share them.
 //!
 //! An alarm is listed while its condition lasts, and afterwards until somebody acknowledges it. Acknowledging an alarm
 //! changes nothing at the device: a FAST STOP stays latched until its own acknowledgement, which ends its alarm too.

@@ -78,7 +78,7 @@ enum Command {
     Openapi,
     /// Print the AsyncAPI document of the WebSocket interface
     Asyncapi,
-    /// Decode hex to readable frames, one per line, or encode a frame
+    /// Decode hex into readable frames, one per line, or encode a frame
     Decode {
         /// File with lines of hex, each optionally preceded by a time and -> or <-; lines that begin with # are
         /// comments [default: standard input]
@@ -175,10 +175,7 @@ pub fn run() -> anyhow::Result<()> {
 fn check(flags: &Flags) -> anyhow::Result<()> {
     let config = Config::load(flags)?;
     daemon::check(&config)?;
-    let Config { name, grippers, listen, .. } = &config;
-    let count = grippers.len();
-    let grippers = if count == 1 { "gripper" } else { "grippers" };
-    quietly(writeln!(std::io::stdout(), "configuration valid: {name} serves {count} {grippers} at {listen}"))
+    quietly(writeln!(std::io::stdout(), "configuration valid: {}", config.summary()))
 }
 
 /// Ignores a broken pipe: the reader of standard output may stop early.

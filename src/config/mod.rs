@@ -94,7 +94,7 @@ pub struct Flags {
     #[arg(long, value_name = "FILE", env = "WSG_GATEWAY_CONFIG")]
     pub config: Option<PathBuf>,
     /// File of tokens; with it, clients need a token [default: tokens.json beside the --config file, if that has an
-    /// access table]
+    /// [access] or [[clients]] section]
     #[arg(long, value_name = "FILE", env = "WSG_GATEWAY_TOKENS")]
     pub tokens: Option<PathBuf>,
     /// Allow addresses other than loopback without credentials and TLS: any client that reaches them can move the
@@ -228,6 +228,15 @@ impl Config {
     #[must_use]
     pub fn scheme(&self) -> &'static str {
         if self.tls.is_some() { "https" } else { "http" }
+    }
+
+    /// Name, number of grippers and address, for people.
+    #[must_use]
+    pub fn summary(&self) -> String {
+        let Self { name, grippers, listen, .. } = self;
+        let count = grippers.len();
+        let grippers = if count == 1 { "gripper" } else { "grippers" };
+        format!("{name} serves {count} {grippers} at {listen}")
     }
 
     /// Merges the flags, which include the environment, with the file that they name.

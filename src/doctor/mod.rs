@@ -91,8 +91,7 @@ pub async fn examine(flags: &Flags, mut report: impl FnMut(&Diagnosis)) {
         Ok(config) => config,
         Err(error) => return report(&Diagnosis::problem("configuration", error)),
     };
-    let summary = format!("{} serves {} grippers at {}", config.name, config.grippers.len(), config.listen);
-    report(&Diagnosis::good("configuration", summary));
+    report(&Diagnosis::good("configuration", config.summary()));
     let running = running::GatewayState::find(&config).await;
     let installation = Installation { config, file: flags.config.clone(), running };
     CHECKS.iter().flat_map(|check| check(&installation)).for_each(|finding| report(&finding));

@@ -10,7 +10,7 @@ use crate::gripper::model::{Link, State};
 /// Readiness of the gateway.
 #[derive(Debug, Serialize, ToSchema)]
 #[schema(example = json!({
-    "gateway": "wsg", "version": "0.1.0", "ready": false, "journal_cause": null, "journal_damage": null, "zenoh_cause": null,
+    "gateway": "wsg", "version": "0.2.0", "ready": false, "journal_cause": null, "journal_damage": null, "zenoh_cause": null,
     "not_ready": ["left: reconnecting: connection refused"], "warnings": []
 }))]
 pub struct Readiness {

@@ -74,7 +74,7 @@ struct WearRecord {
     recipe_version: Option<u64>,
 }
 
-/// Condition that a person has to know of.
+/// Condition that a person must know about.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WearCondition {
     pub alarm: AlarmKind,

@@ -6,8 +6,10 @@ use std::path::{Path, PathBuf};
 
 use comrak::nodes::NodeValue;
 use comrak::{Anchorizer, Arena, Options};
+use proc_macro2::{TokenStream, TokenTree};
 use serde_json::Value;
-use syn::{Fields, Item};
+use syn::{Fields, Item, LitStr};
+use walkdir::WalkDir;
 
 use crate::harness::{Gateway, Simulator, run};
 
@@ -194,4 +196,38 @@ async fn guides_name_all_that_a_user_can_set_or_see() {
         let missing: Vec<_> = names.iter().filter(|name| !is_code(name)).collect();
         assert!(missing.is_empty(), "no guide names {kind} {missing:?}");
     }
+}
+
+/// The texts of the warnings and errors that this code logs.
+fn log_messages(code: TokenStream) -> Vec<String> {
+    let tokens: Vec<_> = code.into_iter().collect();
+    let mut messages = Vec::new();
+    for (index, token) in tokens.iter().enumerate() {
+        let TokenTree::Group(group) = token else { continue };
+        if let [.., TokenTree::Ident(name), TokenTree::Punct(mark)] = &tokens[..index]
+            && mark.as_char() == '!'
+            && (name == "warn" || name == "error")
+        {
+            let literals = group.stream().into_iter().filter_map(|token| syn::parse2::<LitStr>(token.into()).ok());
+            messages.extend(literals.last().map(|text| text.value()));
+        }
+        messages.extend(log_messages(group.stream()));
+    }
+    messages
+}
+
+#[test]
+fn warnings_and_errors_of_the_log_are_explained() {
+    let guide = read("deploy/guide/operation.md");
+    let code = WalkDir::new(root().join("src")).into_iter().map(|entry| entry.unwrap().into_path());
+    let messages: BTreeSet<_> = code
+        .filter(|path| path.extension().is_some_and(|extension| extension == "rs"))
+        .flat_map(|path| log_messages(fs::read_to_string(path).unwrap().parse().unwrap()))
+        .collect();
+    assert!(messages.len() > 80, "{messages:?}");
+    // Texts between the values that a message contains.
+    let explained =
+        |message: &String| format!("`{message}`").split(['{', '}']).step_by(2).all(|part| guide.contains(part));
+    let missing: Vec<_> = messages.iter().filter(|message| !explained(message)).collect();
+    assert!(missing.is_empty(), "not in operation.md: {missing:#?}");
 }

@@ -78,7 +78,7 @@ enum Format {
 
 #[derive(Debug, Args)]
 struct Which {
-    /// Read grip records instead of events
+    /// Read grip records instead of events: of all kinds, unless --kind names one
     #[arg(long)]
     grips: bool,
     #[command(flatten)]
@@ -247,7 +247,8 @@ fn copy(path: &Path, to: &Path, out: &mut impl Write) -> anyhow::Result<()> {
         progress.show_part(copied, all);
     })?;
     drop(progress);
-    Ok(writeln!(out, "{}: {bytes} bytes copied; check them with `wsg-gateway journal verify`", to.display())?)
+    let to = to.display();
+    Ok(writeln!(out, "{to}: {bytes} bytes copied; check the copy with `wsg-gateway journal verify --journal {to}`")?)
 }
 
 fn check(path: &Path, out: &mut impl Write) -> anyhow::Result<()> {

@@ -1,4 +1,4 @@
-//! Alarms: conditions that a person has to know of, until they have ended and are acknowledged.
+//! Alarms: conditions that a person must know about, until they have ended and are acknowledged.
 
 use std::sync::Arc;
 

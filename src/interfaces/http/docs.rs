@@ -44,7 +44,7 @@ pub const DOCUMENTS: [&str; 2] = ["/openapi.json", "/asyncapi.yaml"];
         (name = "commands", description = "Progress and outcome of commands"),
         (name = "lease", description = "The right to move a gripper, and the reaction if the lease holder is lost"),
         (name = "fleet", description = "All grippers of all gateways on the Zenoh network"),
-        (name = "alarms", description = "Conditions that a person has to know of, until they are acknowledged"),
+        (name = "alarms", description = "Conditions that a person must know about, until they are acknowledged"),
         (name = "recipes", description = "Stored grip and release values, by part id or number"),
         (name = "settings", description = "Settings that the device keeps until it restarts, and its permanent tag"),
         (name = "device", description = "Other device commands: statistics, fingers, tare, Loop, raw requests"),
