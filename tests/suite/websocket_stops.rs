@@ -1,4 +1,4 @@
-//! Stops and FAST STOPs on a WebSocket: after a motion, with mistakes, and just before the socket's end.
+//! Stops and FAST STOPs on a WebSocket: after a motion, with mistakes, and just before or behind the socket's end.
 
 use serde_json::{Value, json};
 
@@ -42,4 +42,20 @@ async fn fast_stop_in_another_encoding_or_after_a_mistake_counts() {
         let state = gateway.until("a FAST STOP", |state| state["fast_stop_confirmed"] == true).await;
         gateway.post("acknowledge", &json!({"fast_stop_id": state["fast_stop_id"]})).await.ok();
     }
+}
+
+#[tokio::test]
+async fn stop_behind_the_end_of_its_socket_counts() {
+    let device = Simulator::start(&[]).await;
+    let gateway = Gateway::homed_at(device.address).await;
+    let mut owner = Socket::open(&gateway).await;
+    let motion = owner.begin("move", json!({"gripper": "g", "width_mm": 5, "speed_mm_s": 5})).await;
+    let motion = owner.answer(motion).await["result"].clone();
+    assert_eq!(motion["outcome"], Value::Null, "{motion}");
+    let mut socket = Socket::open(&gateway).await;
+    // The first message ends the socket.
+    socket.send_binary(vec![0xFF]).await;
+    socket.begin("stop", json!({"gripper": "g"})).await;
+    let moved = owner.notification("command", |command| command["id"] == motion["id"]).await;
+    assert_eq!(moved["outcome"], "ABORTED", "{moved}");
 }

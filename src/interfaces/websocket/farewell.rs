@@ -1,8 +1,9 @@
-//! The farewell of a socket: the last FAST STOPs of its client, and the closing handshake.
+//! The farewell of a socket: the last FAST STOPs and Stops of its client, and the closing handshake.
 
+use std::collections::HashSet;
 use std::time::Duration;
 
-use futures_util::future::{BoxFuture, FutureExt as _, join_all};
+use futures_util::future::FutureExt as _;
 use futures_util::stream::StreamExt as _;
 use tokio::time::timeout;
 use tokio_tungstenite::tungstenite::Message;
@@ -10,30 +11,38 @@ use tokio_tungstenite::tungstenite::protocol::CloseFrame;
 use tokio_tungstenite::tungstenite::protocol::frame::Frame;
 use tokio_tungstenite::tungstenite::protocol::frame::coding::CloseCode;
 
-use super::answered::Answered;
 use super::end::SocketEnd;
-use super::rpc::{self, Incoming};
+use super::rpc::{self, Incoming, RpcCall};
 use super::socket::Socket;
 use crate::events::encoded;
-use crate::gripper::model::LossCause;
-use crate::operations::is_fast_stop;
+use crate::gripper::model::{LossCause, Urgency};
+use crate::operations::urgency;
 
 /// Time limit of the closing handshake.
 const FAREWELL_WITHIN: Duration = Duration::from_secs(1);
 
-/// Reads without a message that end the search for FAST STOPs.
-const MAX_MISSES: u8 = 4;
+/// Consecutive reads without a message that end the search for FAST STOPs and Stops. The longest message needs fewer.
+const MAX_MISSES: u8 = 40;
 
-/// Maximum number of messages that are searched for a FAST STOP after the end of their socket.
+/// Maximum number of messages that are searched for FAST STOPs and Stops after the end of their socket.
 const MAX_LAST_MESSAGES: usize = 256;
+
+/// FAST STOPs and Stops that were begun after the end of their socket: method, gripper and command. Repetitions are
+/// ignored, because nothing slows their client down any more.
+type Begun = HashSet<(String, [Option<String>; 2])>;
 
 impl Socket {
     /// Serves the client until its end.
     pub(super) async fn run(mut self: Box<Self>) {
         let end = self.read().await;
         tracing::debug!(client = %self.client.subject, ?end, "WebSocket ended");
+        // Leases that were granted a moment ago are lost, too.
+        while let Some(Some(done)) = self.calls.next().now_or_never() {
+            self.take_done(done);
+        }
+        let mut begun = Begun::new();
         if end != SocketEnd::Closing {
-            self.take_last_fast_stops().await;
+            self.take_last_stops(&mut begun).await;
         }
         // On shutdown the gateway has already released its grippers.
         for (lease, _) in self.leases.values().filter(|_| end != SocketEnd::Closing) {
@@ -56,41 +65,59 @@ impl Socket {
             _ => FAREWELL_WITHIN,
         };
         let farewell = async {
-            // A vanished client does not read the farewell.
-            if matches!((&mut self.writer).await, Ok(Ok(()))) {
-                while let Some(Ok(message)) = self.incoming.next().await {
-                    self.incoming.get_mut().taken();
-                    join_all(self.fast_stops_in(&message)).await;
+            let (mut is_writing, mut is_reading) = (true, true);
+            // Reads meanwhile, in case the client sends a FAST STOP but reads nothing.
+            while is_writing || is_reading {
+                tokio::select! {
+                    biased;
+                    written = &mut self.writer, if is_writing => {
+                        is_writing = false;
+                        // A vanished client does not read the farewell.
+                        is_reading &= matches!(written, Ok(Ok(())));
+                    }
+                    message = self.incoming.next(), if is_reading => match message {
+                        Some(Ok(message)) => self.begin_stops_in(&message, &mut begun),
+                        _ => is_reading = false,
+                    },
                 }
             }
         };
         let _ = timeout(within, farewell).await;
     }
 
-    /// Begins the FAST STOPs among the messages that have arrived. They end without the socket.
-    async fn take_last_fast_stops(&mut self) {
-        let mut misses = 0;
-        for _ in 0..MAX_LAST_MESSAGES {
+    /// Begins the FAST STOPs and Stops among the messages that have arrived. They end without the socket.
+    async fn take_last_stops(&mut self, begun: &mut Begun) {
+        let (mut messages, mut misses) = (0, 0);
+        while messages < MAX_LAST_MESSAGES && misses < MAX_MISSES {
             match self.incoming.next().now_or_never() {
-                Some(Some(Ok(message))) => drop(self.fast_stops_in(&message)),
+                Some(Some(Ok(message))) => {
+                    (messages, misses) = (messages + 1, 0);
+                    self.begin_stops_in(&message, begun);
+                }
                 // The stream gives others a turn now and then, although bytes have arrived.
-                None if misses < MAX_MISSES => misses += 1,
-                Some(_) | None => return,
+                None => misses += 1,
+                Some(_) => return,
             }
             tokio::task::yield_now().await;
         }
     }
 
-    /// Begins the FAST STOPs in a message, and nothing else.
-    fn fast_stops_in(&self, message: &Message) -> Vec<BoxFuture<'static, Answered>> {
-        let (Message::Text(_) | Message::Binary(_)) = message else { return Vec::new() };
+    /// Begins the FAST STOPs and Stops in a message, and nothing else.
+    fn begin_stops_in(&mut self, message: &Message, begun: &mut Begun) {
+        self.incoming.get_mut().taken();
+        let (Message::Text(_) | Message::Binary(_)) = message else { return };
         let payload = message.clone().into_data();
-        let text = String::from_utf8_lossy(&payload);
-        let calls = match rpc::parse(&text) {
+        let calls = match rpc::parse(&String::from_utf8_lossy(&payload)) {
             Incoming::One(call) => vec![call],
             Incoming::Batch(calls) => calls,
         };
-        let fast_stops = calls.into_iter().flatten().filter(|call| is_fast_stop(&call.method));
-        fast_stops.map(|call| self.answered(Ok(call))).collect()
+        let is_stop = |call: &RpcCall| matches!(urgency(&call.method), Urgency::FastStop | Urgency::Stop);
+        for call in calls.into_iter().flatten().filter(is_stop) {
+            let target = ["gripper", "command"].map(|field| call.params.get(field).map(ToString::to_string));
+            if begun.len() < MAX_LAST_MESSAGES && begun.insert((call.method.clone(), target)) {
+                // Its first poll begins it.
+                let _ = self.answered(Ok(call)).now_or_never();
+            }
+        }
     }
 }

@@ -81,7 +81,7 @@ pub struct Socket {
     pub(super) outbox: Arc<Outbox>,
     pub(super) writer: AbortOnDropHandle<io::Result<()>>,
     pub(super) incoming: WebSocketStream<Inbound>,
-    calls: FuturesUnordered<BoxFuture<'static, MessageResult>>,
+    pub(super) calls: FuturesUnordered<BoxFuture<'static, MessageResult>>,
     /// Number of requests in `calls`, where a batch is one call with several requests.
     under_way: usize,
     /// Bytes of the running requests.
@@ -178,10 +178,11 @@ impl Socket {
             let paused_until = self.paused_until.unwrap_or_else(Instant::now);
             tokio::select! {
                 biased;
+                // Begins a call before its socket can end.
+                Some(done) = self.calls.next() => self.take_done(done),
                 () = self.context.closing.cancelled() => return SocketEnd::Closing,
                 () = evicted.as_mut() => return if self.context.closing.is_cancelled() { SocketEnd::Closing } else { SocketEnd::Evicted },
                 _ = &mut self.writer => return SocketEnd::Unwritable,
-                Some(done) = self.calls.next() => self.take_done(done),
                 Some(command) = self.running.next() => {
                     if let Some(ended) = Notification::new("command", &command) {
                         self.outbox.push(ended.frame());
@@ -317,7 +318,8 @@ impl Socket {
         let (gateway, client, metrics) =
             (self.context.gateway.clone(), self.client.clone(), self.context.metrics.clone());
         let identity = self.visitor.identity(&gateway.access);
-        let (is_fast_stop, is_urgent) = (is_fast_stop(&method), urgency(&method) != Urgency::None);
+        let (is_fast_stop, urgency) = (is_fast_stop(&method), urgency(&method));
+        let (is_stop, is_urgent) = (urgency == Urgency::Stop, urgency != Urgency::None);
         let is_change = named(&method).any(|operation| operation.changes_something() && operation.is_of_gripper());
         let pace = self.pace.clone();
         let answered = async move {
@@ -331,12 +333,14 @@ impl Socket {
             metrics.answered(Some(&method), "CALL", status);
             Answered::new(id, result)
         };
-        // A call that panicked gets no response.
+        // A call that panicked gets no response. A FAST STOP or a Stop ends without the socket.
         if is_fast_stop {
-            // Ends without the socket.
             return tokio::spawn(answered).map(Result::unwrap_or_default).boxed();
         }
         // Changes of a gripper start in the order of their requests: a Stop must not overtake the motion before it.
+        if is_stop {
+            return async { tokio::spawn(answered).await.unwrap_or_default() }.boxed();
+        }
         if is_urgent || is_change {
             return AssertUnwindSafe(answered).catch_unwind().map(Result::unwrap_or_default).boxed();
         }
@@ -358,7 +362,7 @@ impl Socket {
             .then(|| format!("too many requests on this socket ({MAX_CALLS} in progress): wait for their responses"))
     }
 
-    fn take_done(&mut self, done: MessageResult) {
+    pub(super) fn take_done(&mut self, done: MessageResult) {
         self.under_way -= done.requests;
         self.request_bytes -= done.bytes;
         self.count();
