@@ -16,7 +16,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use super::acknowledge::AcknowledgeRight;
-use super::input::{PortInput, ReceivedRequest, Unusable};
+use super::input::{PortInput, Unusable};
 use super::port::Rules;
 use super::refusals::{Cause, Refused};
 use super::status::{RefusedStatus, status_of_end};
@@ -104,12 +104,21 @@ struct FastStops {
     waiting: usize,
 }
 
+/// A request that waits for its turn.
+#[derive(Debug)]
+struct WaitingRequest {
+    id: u8,
+    command: Result<Command, Unusable>,
+    /// The FAST STOP that was latched when the request arrived. A later one withdraws a motion.
+    latched: Option<FastStopId>,
+}
+
 #[derive(Debug)]
 pub(super) struct VirtualDevice {
     custom_ids: Arc<CustomIds>,
     shortest_period_ms: u16,
     input: PortInput,
-    waiting: VecDeque<ReceivedRequest>,
+    waiting: VecDeque<WaitingRequest>,
     /// Number of replies that the next request waits for.
     awaited: usize,
     stops: usize,
@@ -232,15 +241,14 @@ impl VirtualDevice {
         self.input.deadline().into_iter().chain(update).min()
     }
 
-    /// Whether every new state matters: for updates on change, or because a motion waits for a Stop and a FAST STOP has
-    /// to discard it.
+    /// Whether every new state matters: for updates on change, or because a motion waits, which a FAST STOP withdraws.
     pub(super) fn watches(&self) -> bool {
-        self.subscriptions.has_on_change() || self.holds_a_motion_back()
+        self.subscriptions.has_on_change() || self.waiting.iter().any(|request| self.moves(request.id))
     }
 
     /// Whether the client has announced its disconnect, including in a waiting request.
     pub(super) fn has_announced(&self) -> bool {
-        let announces = |request: &ReceivedRequest| matches!(request.command, Ok(Command::DisconnectAnnouncement));
+        let announces = |request: &WaitingRequest| matches!(request.command, Ok(Command::DisconnectAnnouncement));
         self.announced || self.waiting.iter().any(announces)
     }
 
@@ -294,7 +302,10 @@ impl VirtualDevice {
                 _ if self.waiting.len() >= MAX_WAITING_REQUESTS => {
                     self.refuse(id, Status::E_OVERRUN, Cause::Overrun);
                 }
-                _ => self.waiting.push_back(request),
+                command => {
+                    let latched = state.latch.as_ref().map(|latch| latch.fast_stop_id);
+                    self.waiting.push_back(WaitingRequest { id, command, latched });
+                }
             }
             // Start what can be started before parsing the next request.
             self.take_up(now, state);
@@ -311,8 +322,12 @@ impl VirtualDevice {
 
     /// Withdraws the waiting motions: before a Stop, or because the client is lost.
     pub(super) fn withdraw_motions(&mut self) {
+        self.withdraw_motions_if(|_| true);
+    }
+
+    fn withdraw_motions_if(&mut self, is_withdrawn: impl Fn(&WaitingRequest) -> bool) {
         let mut waiting = std::mem::take(&mut self.waiting);
-        for request in waiting.iter_mut().filter(|request| self.moves(request.id)) {
+        for request in waiting.iter_mut().filter(|request| self.moves(request.id) && is_withdrawn(request)) {
             request.command = Err(Unusable::Withdrawn);
         }
         self.waiting = waiting;
@@ -332,11 +347,11 @@ impl VirtualDevice {
 
     fn take_up(&mut self, now: Instant, state: &State) {
         // A motion requested before a FAST STOP must not run after its acknowledgement.
-        if state.latch.is_some() && self.holds_a_motion_back() {
-            self.withdraw_motions();
+        if let Some(latch) = &state.latch {
+            self.withdraw_motions_if(|request| request.latched != Some(latch.fast_stop_id));
         }
         while self.awaited == 0
-            && let Some(ReceivedRequest { id, command }) = self.next_request()
+            && let Some(WaitingRequest { id, command, .. }) = self.next_request()
         {
             match command {
                 // fw4-en 3.1.2: refused until the connection has ended.
@@ -347,7 +362,7 @@ impl VirtualDevice {
         }
     }
 
-    fn next_request(&mut self) -> Option<ReceivedRequest> {
+    fn next_request(&mut self) -> Option<WaitingRequest> {
         if self.holds_a_motion_back() { None } else { self.waiting.pop_front() }
     }
 

@@ -205,6 +205,24 @@ fn fast_stop_aborts_motion_waiting_after_stop() {
 }
 
 #[test]
+fn fast_stop_aborts_motion_waiting_for_a_reply() {
+    let mut bench = Bench::new();
+    bench.send(id::SET_FORCE_LIMIT, &30.0_f32.to_le_bytes());
+    let setting = bench.order();
+    bench.send(id::HOMING, &[0]);
+    assert!(bench.device.watches(), "each new state is checked");
+    bench.state = latched(FastStopId::generate(), FastStopCause::Requested);
+    bench.device.handle_timeout(bench.now, &bench.state);
+    // Requested in the knowledge of the FAST STOP.
+    bench.send(id::RELEASE, &[50.0_f32.to_le_bytes(), 50.0_f32.to_le_bytes()].concat());
+    // The FAST STOP is acknowledged before the setting is answered.
+    bench.state = state();
+    bench.answer(setting.ask, NOTHING);
+    assert_eq!(bench.order().ask.id, id::RELEASE);
+    assert_eq!(bench.sent(), [(id::SET_FORCE_LIMIT, Status::E_SUCCESS), (id::HOMING, Status::E_CMD_ABORTED)]);
+}
+
+#[test]
 fn script_blocks_nothing() {
     let mut bench = Bench::new();
     bench.send(0xB0, &[1]);

@@ -49,7 +49,11 @@ impl Unusable {
 pub(super) struct PortInput {
     decoder: Decoder,
     evaluation: ChecksumEvaluation,
-    partial_until: Option<Instant>,
+    /// Time of the newest bytes.
+    heard: Option<Instant>,
+    /// Position of an incomplete frame, and the time limit for its rest. Further bytes do not extend it: a damaged size
+    /// field must not hide the FAST STOPs behind it for long.
+    partial: Option<(u64, Instant)>,
     /// Damaged frames since the last good one.
     damaged: u32,
 }
@@ -59,7 +63,13 @@ const MAX_DAMAGED: u32 = 64;
 
 impl PortInput {
     pub(super) fn new(evaluation: ChecksumEvaluation) -> Self {
-        Self { decoder: Decoder::new(max_request_bytes, evaluation), evaluation, partial_until: None, damaged: 0 }
+        Self {
+            decoder: Decoder::new(max_request_bytes, evaluation),
+            evaluation,
+            heard: None,
+            partial: None,
+            damaged: 0,
+        }
     }
 
     /// Whether too many consecutive frames were damaged, so that no more bytes are read.
@@ -73,7 +83,7 @@ impl PortInput {
             return;
         }
         self.decoder.push(bytes);
-        self.partial_until = Some(now + PARTIAL_WITHIN);
+        self.heard = Some(now);
     }
 
     pub(super) fn next(&mut self) -> Option<ReceivedRequest> {
@@ -84,7 +94,7 @@ impl PortInput {
             return Some(announcement);
         }
         let Some(decoded) = self.decoder.next() else {
-            self.partial_until = self.partial_until.filter(|_| self.decoder.is_partial());
+            self.watch_partial();
             // A short announcement can follow garbage.
             return self.short_announcement();
         };
@@ -97,13 +107,22 @@ impl PortInput {
 
     /// Returns the time at which the rest of a frame counts as lost.
     pub(super) fn deadline(&self) -> Option<Instant> {
-        self.partial_until.filter(|_| !self.is_garbage())
+        self.partial.map(|(_, until)| until).filter(|_| !self.is_garbage())
+    }
+
+    fn watch_partial(&mut self) {
+        let position = self.decoder.position();
+        self.partial = match self.partial {
+            _ if !self.decoder.is_partial() => None,
+            Some((same, until)) if same == position => Some((same, until)),
+            _ => self.heard.map(|heard| (position, heard + PARTIAL_WITHIN)),
+        };
     }
 
     /// Discards a frame whose rest is overdue.
     pub(super) fn handle_timeout(&mut self, now: Instant) {
-        if self.partial_until.is_some_and(|until| until <= now) {
-            self.partial_until = Some(now + PARTIAL_WITHIN);
+        if self.partial.is_some_and(|(_, until)| until <= now) {
+            self.heard = Some(now);
             self.decoder.give_up_partial();
         }
     }
@@ -207,6 +226,24 @@ mod tests {
         let bytes = [&[0xAA, 0xAA, 0xAA, 0x07, 0xFF, 0xFF][..], &frame(id::FAST_STOP, &[])].concat();
         let found = requests(ChecksumEvaluation::On, &bytes, bytes.len());
         assert_eq!(found.last(), Some(&(id::FAST_STOP, Ok(Command::FastStop))));
+    }
+
+    #[test]
+    fn further_requests_do_not_extend_the_wait_for_a_damaged_frame() {
+        let mut input = PortInput::new(ChecksumEvaluation::On);
+        let begin = Instant::now();
+        // Announces more bytes than follow.
+        input.push(begin, &[0xAA, 0xAA, 0xAA, 0xB5, 0x00, 0x10]);
+        assert!(input.next().is_none());
+        let until = begin + PARTIAL_WITHIN;
+        for n in 1..=5 {
+            input.push(begin + n * PARTIAL_WITHIN / 6, &frame(id::FAST_STOP, &[]));
+            assert!(input.next().is_none());
+            assert_eq!(input.deadline(), Some(until));
+        }
+        input.handle_timeout(until);
+        let found = std::iter::from_fn(|| input.next()).map(|request| request.id).collect::<Vec<_>>();
+        assert_eq!((found, input.deadline()), (vec![id::FAST_STOP; 5], None));
     }
 
     #[test]
