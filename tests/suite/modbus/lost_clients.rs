@@ -59,6 +59,25 @@ async fn stopped_heartbeat_stops_the_motion() {
 }
 
 #[tokio::test]
+async fn heartbeat_that_waits_for_a_frozen_gateway_counts() {
+    let cell = Cell::with("modbus_heartbeat_ms = 800").await;
+    let mut plc = Plc::ready(cell.address).await;
+    plc.ok(HOME, Values::default()).await;
+    plc.write(HEARTBEAT, &[1]).await.unwrap();
+    moving(&mut plc).await;
+    plc.write(HEARTBEAT, &[2]).await.unwrap();
+    cell.gateway.freeze();
+    let thawed = async {
+        tokio::time::sleep(Duration::from_secs(1)).await;
+        cell.gateway.thaw();
+    };
+    let (written, ()) = tokio::join!(plc.write(HEARTBEAT, &[3]), thawed);
+    written.unwrap();
+    assert_eq!(plc.seen().await.status & MINE, MINE);
+    assert_eq!(cell.proxy.frames.count(FAST_STOP), 0);
+}
+
+#[tokio::test]
 async fn on_loss_finish_completes_the_motion() {
     let device = crate::harness::Simulator::with_part().await;
     let toml = format!("[grippers.g]\nurl = \"tcp://{}\"\non_loss_moving = [\"finish\"]\n", device.address);

@@ -6,6 +6,7 @@ mod requests;
 
 use std::collections::BTreeMap;
 use std::convert::Infallible;
+use std::io;
 use std::net::IpAddr;
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
@@ -47,8 +48,9 @@ const FIRST_BYTES_WITHIN: Duration = Duration::from_millis(10);
 /// Maximum number of requests that are searched for a FAST STOP after their client is gone.
 const MAX_LAST_REQUESTS: usize = 256;
 
-/// Maximum number of orders under way. Further requests wait.
-const MAX_UNDER_WAY: usize = 16;
+/// Maximum number of orders under way. Further requests wait, even those with a FAST STOP. So there is room for an
+/// order every 10 ms while the journal takes its whole time limit.
+const MAX_UNDER_WAY: usize = 64;
 
 /// Time limit for the last commands of a disconnected client to be admitted or refused.
 const LAST_COMMANDS_WITHIN: Duration = Duration::from_millis(500);
@@ -172,7 +174,7 @@ impl ModbusConnection {
             }
             self.leases.retain(|_, held| held.lease.is_held());
             let holds_lease = !self.leases.is_empty();
-            let is_free = self.unanswered.is_none() && self.under_way.len() < MAX_UNDER_WAY;
+            let is_free = self.is_free();
             let due = self.due().into();
             // A later deadline takes effect when the timer fires.
             if due < timer.deadline() || timer.is_elapsed() {
@@ -194,12 +196,14 @@ impl ModbusConnection {
                     }
                     changed.map_err(|_| ConnectionEnd::Closing)?;
                 }
-                frame = self.frames.next(), if is_free => match frame {
-                    Some(Ok(frame)) => self.receive(frame).await?,
-                    _ => return Err(ConnectionEnd::Gone),
-                },
+                frame = self.frames.next(), if is_free => self.receive(frame).await?,
             }
         }
+    }
+
+    /// Whether the next request can be performed.
+    fn is_free(&self) -> bool {
+        self.unanswered.is_none() && self.under_way.len() < MAX_UNDER_WAY
     }
 
     /// Time at which there is something to do without an input.
@@ -211,10 +215,16 @@ impl ModbusConnection {
 
     async fn handle_timeout(&mut self) -> Result<(), ConnectionEnd> {
         let now = clock::instant();
-        self.lose_silent(now);
         if self.unanswered.as_ref().is_some_and(|unanswered| unanswered.until <= now) {
             self.answer().await?;
         }
+        // After a stall of the gateway, heartbeats can be waiting.
+        for _ in 0..TURN {
+            let frame = if self.is_free() { self.frames.next().now_or_never() } else { None };
+            let Some(frame) = frame else { break };
+            self.receive(frame).await?;
+        }
+        self.lose_silent(now);
         if self.heard + IDLE_LIMIT > now {
             return Ok(());
         }
@@ -226,7 +236,8 @@ impl ModbusConnection {
         Ok(())
     }
 
-    async fn receive(&mut self, frame: BytesMut) -> Result<(), ConnectionEnd> {
+    async fn receive(&mut self, frame: Option<io::Result<BytesMut>>) -> Result<(), ConnectionEnd> {
+        let Some(Ok(frame)) = frame else { return Err(ConnectionEnd::Gone) };
         self.heard = clock::instant();
         self.permit.heard();
         self.is_fresh = false;
