@@ -377,7 +377,7 @@ impl DeviceLink {
                 return Ok(token);
             }
             Err(NotTaken::Unanswered) => Failure::NotSent { command: name },
-            Err(NotTaken::Full) => Failure::Overloaded { limit: session::MAX_WAITING },
+            Err(NotTaken::Full { limit }) => Failure::Overloaded { limit },
             Err(NotTaken::LineTime { line_ms }) => {
                 let max_ms = session::MAX_LINE_TIME_WHILE_MOVING.as_millis() as u64;
                 Failure::LineTime { command: name, line_ms, max_ms }

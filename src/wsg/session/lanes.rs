@@ -3,12 +3,16 @@
 use std::collections::VecDeque;
 use std::time::Instant;
 
-use super::{Request, Token};
+use super::{NotTaken, Request, Token};
 use crate::wsg::Command;
 
 /// Limit of waiting requests per lane. The gateway uses a few dozen ids with one request in flight each. Only a caller
 /// that does not wait for replies exceeds the limit.
 pub const MAX_WAITING: usize = 64;
+
+/// Limit of waiting requests of one id, other than Stops and FAST STOPs. Without it, many reads of one kind could have
+/// a motion refused.
+pub const MAX_WAITING_PER_ID: usize = 16;
 
 /// A request that has not been written yet.
 #[derive(Debug)]
@@ -27,15 +31,22 @@ pub(super) struct Lanes {
 }
 
 impl Lanes {
-    /// Queues a request, or returns it if its lane is full.
-    pub(super) fn push(&mut self, waiting: Waiting) -> Result<(), Waiting> {
-        let lane = match waiting.request.command {
-            Command::FastStop => &mut self.fast_stop,
-            Command::Stop => &mut self.stop,
-            _ => &mut self.rest,
+    /// Queues a request.
+    ///
+    /// # Errors
+    /// [`NotTaken::Full`] if too many requests are waiting.
+    pub(super) fn push(&mut self, waiting: Waiting) -> Result<(), NotTaken> {
+        let id = waiting.request.command.id();
+        let (lane, per_id) = match waiting.request.command {
+            Command::FastStop => (&mut self.fast_stop, MAX_WAITING),
+            Command::Stop => (&mut self.stop, MAX_WAITING),
+            _ => (&mut self.rest, MAX_WAITING_PER_ID),
         };
         if lane.len() >= MAX_WAITING {
-            return Err(waiting);
+            return Err(NotTaken::Full { limit: MAX_WAITING });
+        }
+        if lane.iter().filter(|other| other.request.command.id() == id).count() >= per_id {
+            return Err(NotTaken::Full { limit: per_id });
         }
         lane.push_back(waiting);
         Ok(())

@@ -36,8 +36,8 @@ use super::frame::{self, ChecksumEvaluation, Decoder, DecoderCounters};
 use super::reply::{Data, InvalidReply, Reply};
 use super::{Command, id};
 use barrier::Barrier;
-pub use lanes::MAX_WAITING;
 use lanes::{Lanes, Waiting};
+pub use lanes::{MAX_WAITING, MAX_WAITING_PER_ID};
 use slots::{Closed, InFlight, SlotState, Slots};
 
 /// Longest line time of a request while the fingers may move, because a FAST STOP has to wait for that request.
@@ -127,9 +127,12 @@ pub struct Request {
 /// Reason why a request was rejected.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum NotTaken {
-    /// [`MAX_WAITING`] requests are already waiting.
-    #[error("{MAX_WAITING} requests are already waiting")]
-    Full,
+    /// Too many requests are already waiting.
+    #[error("{limit} requests are already waiting")]
+    Full {
+        /// [`MAX_WAITING`], or [`MAX_WAITING_PER_ID`] requests of this id.
+        limit: usize,
+    },
     /// An earlier request of the same script had no reply, which can still arrive.
     #[error("the script has not replied to an earlier request")]
     Unanswered,
@@ -252,7 +255,7 @@ impl Session {
         // A Stop is written only after the Stop in flight has ended, so its own deadline comes after that one's.
         let before = self.slots.in_flight().find(|(id, _)| *id == id::STOP && request.command == Command::Stop);
         let deadline = before.map_or(deadline, |(_, before)| deadline.max(before.deadline + request.reply_within));
-        self.lanes.push(Waiting { token, request, deadline }).map_err(|_| NotTaken::Full)?;
+        self.lanes.push(Waiting { token, request, deadline })?;
         self.next_token += 1;
         Ok(token)
     }

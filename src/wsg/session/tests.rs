@@ -392,11 +392,21 @@ fn no_probe_delays_a_fast_stop_on_the_slowest_line() {
 #[test]
 fn lanes_are_bounded() {
     let mut rig = Rig::new();
-    for _ in 0..MAX_WAITING {
+    for _ in 0..MAX_WAITING_PER_ID {
         rig.submit(Command::GetTemperature);
     }
-    let one_more = Request { command: Command::GetTemperature, reply_within: ANSWER, result_within: RESULT };
-    assert_eq!(rig.session.submit(rig.now, one_more), Err(NotTaken::Full));
+    assert_eq!(rig.refused(Command::GetTemperature), NotTaken::Full { limit: MAX_WAITING_PER_ID });
+    // A flood of one id leaves room for others.
+    rig.submit(grip());
+    let script = |n: usize| {
+        let id = 0xB0 + (n / MAX_WAITING_PER_ID) as u8;
+        Command::Custom(CustomCommand::new(id, vec![]).unwrap())
+    };
+    let left = MAX_WAITING - MAX_WAITING_PER_ID - 1;
+    for n in 0..left {
+        rig.submit(script(n));
+    }
+    assert_eq!(rig.refused(script(left)), NotTaken::Full { limit: MAX_WAITING });
     rig.submit(Command::FastStop);
 }
 

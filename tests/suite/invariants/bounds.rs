@@ -8,7 +8,7 @@ use wsg_gateway::gripper::handle::ActorRequest;
 use wsg_gateway::gripper::model::Action;
 use wsg_gateway::gripper::{Failure, Rejection};
 use wsg_gateway::sim::Change;
-use wsg_gateway::wsg::session::MAX_WAITING;
+use wsg_gateway::wsg::session::{MAX_WAITING, MAX_WAITING_PER_ID};
 use wsg_gateway::wsg::{self, LoopData, id};
 
 use super::steps::*;
@@ -23,11 +23,11 @@ fn bounded() {
     let mut world = homed();
     world.device.apply(world.now, Change::Silent { on: true });
     let from = mark(&world);
-    // One request is in flight, and `MAX_WAITING` more wait for their turn.
+    // One request is in flight, and `MAX_WAITING_PER_ID` more wait for their turn.
     let ask = || wsg::Command::Loop(LoopData::new(vec![1]).unwrap());
-    let mut asked: Vec<_> = (0..=MAX_WAITING).map(|_| exchange(&mut world, ask())).collect();
+    let mut asked: Vec<_> = (0..=MAX_WAITING_PER_ID).map(|_| exchange(&mut world, ask())).collect();
     assert!(asked.iter_mut().all(|asked| asked.try_recv().is_err()), "no request is answered yet");
-    assert_eq!(exchange(&mut world, ask()).try_recv().unwrap(), Err(overloaded(MAX_WAITING)));
+    assert_eq!(exchange(&mut world, ask()).try_recv().unwrap(), Err(overloaded(MAX_WAITING_PER_ID)));
     // Stops have a lane of their own.
     let stop = |world: &mut _, n: usize| submit(world, Action::Stop, Some(&format!("stop {n}")));
     let stops: Vec<_> = (0..=MAX_WAITING).map(|n| stop(&mut world, n)).collect();
