@@ -236,8 +236,9 @@ impl AsyncRead for Reader {
     }
 }
 
-/// Time limit for the kernel to report a slice as sent. A lost report must not block all later frames.
-const SENT_WITHIN: Duration = Duration::from_secs(5);
+/// Time limit for the kernel to report a slice as sent. Shorter than the time limit of a request: the rest of a motion
+/// must not follow after it was given up, and a Stop behind it was refused.
+const SENT_WITHIN: Duration = Duration::from_millis(500);
 
 /// Sends each write as one frame, which starts in a new slice.
 ///
@@ -264,8 +265,7 @@ impl Writer {
                 Poll::Ready(None) => return Poll::Ready(Err(io::ErrorKind::UnexpectedEof.into())),
                 Poll::Pending => {
                     ready!(limit.as_mut().poll(cx));
-                    let detail =
-                        format!("a frame was not sent within {} s: check cable and bit rate", SENT_WITHIN.as_secs());
+                    let detail = format!("a frame was not sent within {SENT_WITHIN:?}: check cable and bit rate");
                     return Poll::Ready(Err(io::Error::new(io::ErrorKind::TimedOut, detail)));
                 }
             };
