@@ -230,7 +230,8 @@ impl Queries {
         let client_name = given(CLIENT).map(|given| name(CLIENT, &given)).transpose();
         let ignores_mistakes = named(&method).any(|operation| operation.ignores_mistakes);
         let (mut params, client_name) = if is_fast_stop {
-            (json::parse(&payload).unwrap_or_default(), client_name.unwrap_or_default())
+            let params = (payload.len() <= MAX_BODY_BYTES).then(|| json::parse(&payload).ok()).flatten();
+            (params.unwrap_or_default(), client_name.unwrap_or_default())
         } else if ignores_mistakes {
             (body(&payload).unwrap_or_default(), client_name.unwrap_or_default())
         } else {
