@@ -125,7 +125,15 @@ impl CanAddress {
         let pacer = Pacer::new(self.bytes_per_second());
         Ok(Pipe {
             reader: Box::new(reader),
-            writer: Box::new(Writer { socket: sending, id, queue: VecDeque::new(), sent: None, pacer }),
+            writer: Box::new(Writer {
+                socket: sending,
+                id,
+                queue: VecDeque::new(),
+                sent: None,
+                has_begun: false,
+                limit: None,
+                pacer,
+            }),
         })
     }
 
@@ -236,8 +244,8 @@ impl AsyncRead for Reader {
     }
 }
 
-/// Time limit for the kernel to report a slice as sent. Shorter than the time limit of a request: the rest of a motion
-/// must not follow after it was given up, and a Stop behind it was refused.
+/// Time limit for the kernel to report a frame as sent, besides its line time. It is shorter than the time limit of a
+/// request: a motion must not follow after it was given up and a Stop behind it was refused.
 const SENT_WITHIN: Duration = Duration::from_millis(500);
 
 /// Sends each write as one frame, which starts in a new slice.
@@ -249,25 +257,32 @@ struct Writer {
     id: StandardId,
     /// Slices of the current frame that the kernel does not have yet.
     queue: VecDeque<CanFrame>,
-    /// The slice that the kernel has, until it reports it as sent, and the time limit for the report.
-    sent: Option<(CanFrame, Pin<Box<Sleep>>)>,
+    /// The slice that the kernel has, until it reports it as sent.
+    sent: Option<CanFrame>,
+    /// Whether the current frame has begun.
+    has_begun: bool,
+    /// Time limit of the current frame.
+    limit: Option<Pin<Box<Sleep>>>,
     pacer: Pacer,
 }
 
 impl Writer {
     /// Waits until the kernel has no slice.
     fn poll_sent(&mut self, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        while let Some((sent, limit)) = &mut self.sent {
+        while let Some(sent) = self.sent {
             let frame = match Pin::new(&mut self.socket).poll_next(cx) {
                 Poll::Ready(Some(Ok(frame))) => frame,
                 Poll::Ready(Some(Err(socketcan::Error::Io(error)))) => return Poll::Ready(Err(error)),
                 Poll::Ready(Some(Err(error))) => return Poll::Ready(Err(io::Error::other(error))),
                 Poll::Ready(None) => return Poll::Ready(Err(io::ErrorKind::UnexpectedEof.into())),
-                Poll::Pending => {
-                    ready!(limit.as_mut().poll(cx));
-                    let detail = format!("a frame was not sent within {SENT_WITHIN:?}: check cable and bit rate");
-                    return Poll::Ready(Err(io::Error::new(io::ErrorKind::TimedOut, detail)));
-                }
+                // After a stall of the gateway, the report can be waiting although the time is over.
+                Poll::Pending => match self.check_limit(cx) {
+                    Ok(()) => return Poll::Pending,
+                    Err(late) => match self.socket.try_read_frame() {
+                        Ok(frame) => frame,
+                        Err(_) => return Poll::Ready(Err(late)),
+                    },
+                },
             };
             // Another program can send with the same id.
             if frame.data() == sent.data() {
@@ -275,6 +290,15 @@ impl Writer {
             }
         }
         Poll::Ready(Ok(()))
+    }
+
+    /// Fails if the current frame is late.
+    fn check_limit(&mut self, cx: &mut Context<'_>) -> io::Result<()> {
+        if self.limit.as_mut().is_none_or(|limit| limit.as_mut().poll(cx).is_pending()) {
+            return Ok(());
+        }
+        let detail = format!("a frame was not sent within {} ms: check cable and bit rate", SENT_WITHIN.as_millis());
+        Err(io::Error::new(io::ErrorKind::TimedOut, detail))
     }
 }
 
@@ -284,6 +308,7 @@ impl AsyncWrite for Writer {
         let id = self.id;
         let slices = segment::slices(frame).filter_map(|slice| CanFrame::new(id, slice));
         self.queue.extend(slices);
+        self.limit = Some(Box::pin(sleep(SENT_WITHIN + self.pacer.line_time(frame.len()))));
         Poll::Ready(Ok(frame.len()))
     }
 
@@ -292,21 +317,28 @@ impl AsyncWrite for Writer {
         let this = self.get_mut();
         loop {
             ready!(this.poll_sent(cx))?;
-            let Some(slice) = this.queue.front() else { break };
+            let Some(slice) = this.queue.front().copied() else { break };
+            // No motion continues late. A frame of one slice, such as a FAST STOP, is sent even after a stall.
+            if this.has_begun {
+                this.check_limit(cx)?;
+            }
             // Frames of other programs with the same id must not fill the buffer.
             while this.socket.try_read_frame().is_ok() {}
-            match this.socket.try_write_frame(*slice) {
+            match this.socket.try_write_frame(slice) {
                 Ok(()) => {
                     this.pacer.wrote(slice.dlc());
-                    this.sent = this.queue.pop_front().map(|slice| (slice, Box::pin(sleep(SENT_WITHIN))));
+                    this.sent = this.queue.pop_front();
+                    this.has_begun = true;
                 }
                 Err(error) if is_full(&error) => {
+                    this.check_limit(cx)?;
                     this.pacer.hold(QUEUE_FULL);
                     ready!(this.pacer.poll_free(cx));
                 }
                 Err(error) => return Poll::Ready(Err(error)),
             }
         }
+        (this.has_begun, this.limit) = (false, None);
         this.pacer.poll_free(cx).map(Ok)
     }
 
