@@ -19,7 +19,7 @@ use futures_util::stream::{FuturesUnordered, StreamExt as _};
 use tokio::io::AsyncWriteExt as _;
 use tokio::net::TcpStream;
 use tokio::net::tcp::{OwnedReadHalf, OwnedWriteHalf};
-use tokio::time::{sleep_until, timeout};
+use tokio::time::{sleep_until, timeout, timeout_at};
 use tokio_modbus::prelude::ExceptionCode;
 use tokio_util::codec::{FramedRead, LengthDelimitedCodec};
 use tokio_util::sync::CancellationToken;
@@ -48,9 +48,15 @@ const FIRST_BYTES_WITHIN: Duration = Duration::from_millis(10);
 /// Maximum number of requests that are searched for a FAST STOP after their client is gone.
 const MAX_LAST_REQUESTS: usize = 256;
 
-/// Maximum number of orders under way. Further requests wait, even those with a FAST STOP. So there is room for an
-/// order every 10 ms while the journal takes its whole time limit.
+/// Maximum number of orders under way: enough for one every 10 ms while the journal takes its whole time limit. Further
+/// requests wait, even those with a FAST STOP.
 const MAX_UNDER_WAY: usize = 64;
+
+/// Delay of a timer that shows a stall of the gateway.
+const LATE: Duration = Duration::from_millis(50);
+
+/// Time limit for the runtime to notice, after a stall, what has arrived.
+const NOTICED_WITHIN: Duration = Duration::from_millis(100);
 
 /// Time limit for the last commands of a disconnected client to be admitted or refused.
 const LAST_COMMANDS_WITHIN: Duration = Duration::from_millis(500);
@@ -218,10 +224,14 @@ impl ModbusConnection {
         if self.unanswered.as_ref().is_some_and(|unanswered| unanswered.until <= now) {
             self.answer().await?;
         }
-        // After a stall of the gateway, heartbeats can be waiting.
+        // After a stall of the gateway, heartbeats can be waiting, and the runtime may not have noticed them yet.
+        let is_late = self.lost_at().is_some_and(|lost_at| lost_at + LATE < now);
+        let until = if is_late { now + NOTICED_WITHIN } else { now };
         for _ in 0..TURN {
-            let frame = if self.is_free() { self.frames.next().now_or_never() } else { None };
-            let Some(frame) = frame else { break };
+            if !self.is_free() {
+                break;
+            }
+            let Ok(frame) = timeout_at(until.into(), self.frames.next()).await else { break };
             self.receive(frame).await?;
         }
         self.lose_silent(now);
