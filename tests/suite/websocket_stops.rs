@@ -4,6 +4,15 @@ use serde_json::{Value, json};
 
 use crate::harness::{Gateway, Simulator, Socket};
 
+/// Waits for the end of a motion that was answered.
+async fn ended(socket: &mut Socket, motion: Value) -> Value {
+    // A motion that was stopped before the gripper accepted it has ended already.
+    match &motion["outcome"] {
+        Value::Null => socket.notification("command", |command| command["id"] == motion["id"]).await,
+        _ => motion,
+    }
+}
+
 #[tokio::test]
 async fn stop_does_not_overtake_the_motion_before_it() {
     let device = Simulator::start(&[]).await;
@@ -14,14 +23,27 @@ async fn stop_does_not_overtake_the_motion_before_it() {
         let motion = json!({"gripper": "g", "width_mm": width_mm, "speed_mm_s": 50});
         let motion = socket.begin("move", motion).await;
         let stop = socket.begin("stop", json!({"gripper": "g"})).await;
-        let moved = socket.answer(motion).await["result"].clone();
+        let motion = socket.answer(motion).await["result"].clone();
         socket.answer(stop).await;
-        // A motion that was stopped before the gripper accepted it has ended already.
-        let moved = match &moved["outcome"] {
-            Value::Null => socket.notification("command", |command| command["id"] == moved["id"]).await,
-            _ => moved,
-        };
+        let moved = ended(&mut socket, motion).await;
         assert_eq!(moved["outcome"], "ABORTED", "round {round}: {moved}");
+    }
+}
+
+#[tokio::test]
+async fn motion_does_not_overtake_the_stop_before_it() {
+    let device = Simulator::start(&[]).await;
+    let gateway = Gateway::homed_at(device.address).await;
+    let mut socket = Socket::open(&gateway).await;
+    for round in 0..20 {
+        let width_mm = if round % 2 == 0 { 50 } else { 52 };
+        let stop = socket.begin("stop", json!({"gripper": "g"})).await;
+        let motion = json!({"gripper": "g", "width_mm": width_mm, "speed_mm_s": 400});
+        let motion = socket.begin("move", motion).await;
+        socket.answer(stop).await;
+        let motion = socket.answer(motion).await["result"].clone();
+        let moved = ended(&mut socket, motion).await;
+        assert_eq!(moved["outcome"], "SUCCESS", "round {round}: {moved}");
     }
 }
 

@@ -1,6 +1,5 @@
 //! The farewell of a socket: the last FAST STOPs and Stops of its client, and the closing handshake.
 
-use std::collections::HashSet;
 use std::time::Duration;
 
 use futures_util::future::FutureExt as _;
@@ -24,12 +23,9 @@ const FAREWELL_WITHIN: Duration = Duration::from_secs(1);
 /// Consecutive reads without a message that end the search for FAST STOPs and Stops. The longest message needs fewer.
 const MAX_MISSES: u8 = 40;
 
-/// Maximum number of messages that are searched for FAST STOPs and Stops after the end of their socket.
+/// Maximum number of messages that are searched for FAST STOPs and Stops after the end of their socket, and maximum
+/// number of FAST STOPs and Stops that are begun then.
 const MAX_LAST_MESSAGES: usize = 256;
-
-/// FAST STOPs and Stops that were begun after the end of their socket: method, gripper and command. Repetitions are
-/// ignored, because nothing slows their client down any more.
-type Begun = HashSet<(String, [Option<String>; 2])>;
 
 impl Socket {
     /// Serves the client until its end.
@@ -40,7 +36,7 @@ impl Socket {
         while let Some(Some(done)) = self.calls.next().now_or_never() {
             self.take_done(done);
         }
-        let mut begun = Begun::new();
+        let mut begun = 0;
         if end != SocketEnd::Closing {
             self.take_last_stops(&mut begun).await;
         }
@@ -86,7 +82,7 @@ impl Socket {
     }
 
     /// Begins the FAST STOPs and Stops among the messages that have arrived. They end without the socket.
-    async fn take_last_stops(&mut self, begun: &mut Begun) {
+    async fn take_last_stops(&mut self, begun: &mut usize) {
         let (mut messages, mut misses) = (0, 0);
         while messages < MAX_LAST_MESSAGES && misses < MAX_MISSES {
             match self.incoming.next().now_or_never() {
@@ -103,7 +99,7 @@ impl Socket {
     }
 
     /// Begins the FAST STOPs and Stops in a message, and nothing else.
-    fn begin_stops_in(&mut self, message: &Message, begun: &mut Begun) {
+    fn begin_stops_in(&mut self, message: &Message, begun: &mut usize) {
         self.incoming.get_mut().taken();
         let (Message::Text(_) | Message::Binary(_)) = message else { return };
         let payload = message.clone().into_data();
@@ -112,12 +108,10 @@ impl Socket {
             Incoming::Batch(calls) => calls,
         };
         let is_stop = |call: &RpcCall| matches!(urgency(&call.method), Urgency::FastStop | Urgency::Stop);
-        for call in calls.into_iter().flatten().filter(is_stop) {
-            let target = ["gripper", "command"].map(|field| call.params.get(field).map(ToString::to_string));
-            if begun.len() < MAX_LAST_MESSAGES && begun.insert((call.method.clone(), target)) {
-                // Its first poll begins it.
-                let _ = self.answered(Ok(call)).now_or_never();
-            }
+        for call in calls.into_iter().flatten().filter(is_stop).take(MAX_LAST_MESSAGES - *begun) {
+            *begun += 1;
+            // Its first poll begins it.
+            let _ = self.answered(Ok(call)).now_or_never();
         }
     }
 }

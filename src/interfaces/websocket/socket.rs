@@ -319,7 +319,7 @@ impl Socket {
             (self.context.gateway.clone(), self.client.clone(), self.context.metrics.clone());
         let identity = self.visitor.identity(&gateway.access);
         let (is_fast_stop, urgency) = (is_fast_stop(&method), urgency(&method));
-        let (is_stop, is_urgent) = (urgency == Urgency::Stop, urgency != Urgency::None);
+        let is_urgent = urgency != Urgency::None;
         let is_change = named(&method).any(|operation| operation.changes_something() && operation.is_of_gripper());
         let pace = self.pace.clone();
         let answered = async move {
@@ -333,16 +333,24 @@ impl Socket {
             metrics.answered(Some(&method), "CALL", status);
             Answered::new(id, result)
         };
-        // A call that panicked gets no response. A FAST STOP or a Stop ends without the socket.
+        // A call that panicked gets no response. A FAST STOP runs to its end even without the socket.
         if is_fast_stop {
             return tokio::spawn(answered).map(Result::unwrap_or_default).boxed();
         }
         // Changes of a gripper start in the order of their requests: a Stop must not overtake the motion before it.
-        if is_stop {
-            return async { tokio::spawn(answered).await.unwrap_or_default() }.boxed();
-        }
         if is_urgent || is_change {
-            return AssertUnwindSafe(answered).catch_unwind().map(Result::unwrap_or_default).boxed();
+            let mut answered = AssertUnwindSafe(answered).catch_unwind().map(Result::unwrap_or_default).boxed();
+            if urgency != Urgency::Stop {
+                return answered;
+            }
+            // Once begun, a Stop runs to its end even without the socket.
+            return async move {
+                match (&mut answered).now_or_never() {
+                    Some(answered) => answered,
+                    None => tokio::spawn(answered).await.unwrap_or_default(),
+                }
+            }
+            .boxed();
         }
         let answered = AbortOnDropHandle::new(self.context.runtimes.observers.spawn(answered));
         answered.map(Result::unwrap_or_default).boxed()
