@@ -111,6 +111,8 @@ struct WaitingRequest {
     command: Result<Command, Unusable>,
     /// The FAST STOP that was latched when the request arrived. A later one withdraws a motion.
     latched: Option<FastStopId>,
+    /// Whether a FAST STOP of the same client had arrived before, and was unanswered.
+    is_behind_fast_stop: bool,
 }
 
 #[derive(Debug)]
@@ -200,6 +202,9 @@ impl VirtualDevice {
             PortReply::NoFault => self.reply(ask.id, &Reply::Success(Data::None)),
             PortReply::FastStopped(FastStop { id, confirmed }) => {
                 self.acknowledges.caused(id);
+                for request in self.waiting.iter_mut().filter(|request| request.is_behind_fast_stop) {
+                    (request.latched, request.is_behind_fast_stop) = (Some(id), false);
+                }
                 for _ in 0..std::mem::take(&mut self.fast_stops.under_way) {
                     self.status(ask.id, if confirmed { Status::E_SUCCESS } else { Status::E_TIMEOUT });
                 }
@@ -304,7 +309,8 @@ impl VirtualDevice {
                 }
                 command => {
                     let latched = state.latch.as_ref().map(|latch| latch.fast_stop_id);
-                    self.waiting.push_back(WaitingRequest { id, command, latched });
+                    let is_behind_fast_stop = self.is_stopping();
+                    self.waiting.push_back(WaitingRequest { id, command, latched, is_behind_fast_stop });
                 }
             }
             // Start what can be started before parsing the next request.
@@ -348,7 +354,9 @@ impl VirtualDevice {
     fn take_up(&mut self, now: Instant, state: &State) {
         // A motion requested before a FAST STOP must not run after its acknowledgement.
         if let Some(latch) = &state.latch {
-            self.withdraw_motions_if(|request| request.latched != Some(latch.fast_stop_id));
+            let all = self.holds_a_motion_back();
+            let newest = Some(latch.fast_stop_id);
+            self.withdraw_motions_if(|request| all || (request.latched != newest && !request.is_behind_fast_stop));
         }
         while self.awaited == 0
             && let Some(WaitingRequest { id, command, .. }) = self.next_request()

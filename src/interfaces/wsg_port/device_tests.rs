@@ -223,6 +223,28 @@ fn fast_stop_aborts_motion_waiting_for_a_reply() {
 }
 
 #[test]
+fn motion_behind_a_fast_stop_of_its_client_is_aborted_by_a_later_one() {
+    let mut bench = Bench::new();
+    bench.send(id::FAST_STOP, &[]);
+    let fast_stop = bench.order();
+    bench.send(id::SET_FORCE_LIMIT, &30.0_f32.to_le_bytes());
+    bench.send(id::HOMING, &[0]);
+    let own = FastStopId::generate();
+    bench.state = latched(own, FastStopCause::Requested);
+    bench.device.handle_timeout(bench.now, &bench.state);
+    bench.answer(fast_stop.ask, PortReply::FastStopped(FastStop { id: own, confirmed: true }));
+    let setting = bench.order();
+    // Somebody acknowledges it and makes another one, which is acknowledged, too.
+    for state in [state(), latched(FastStopId::generate(), FastStopCause::Requested), state()] {
+        bench.state = state;
+        bench.device.handle_timeout(bench.now, &bench.state);
+    }
+    bench.answer(setting.ask, NOTHING);
+    assert_eq!(bench.device.poll_order(), None);
+    assert_eq!(bench.sent().last(), Some(&(id::HOMING, Status::E_CMD_ABORTED)));
+}
+
+#[test]
 fn script_blocks_nothing() {
     let mut bench = Bench::new();
     bench.send(0xB0, &[1]);

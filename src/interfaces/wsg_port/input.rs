@@ -49,7 +49,7 @@ impl Unusable {
 pub(super) struct PortInput {
     decoder: Decoder,
     evaluation: ChecksumEvaluation,
-    /// Time of the newest bytes.
+    /// Time of the newest bytes, or of the last time-out.
     heard: Option<Instant>,
     /// Position of an incomplete frame, and the time limit for its rest. Further bytes do not extend it: a damaged size
     /// field must not hide the FAST STOPs behind it for long.
