@@ -4,14 +4,14 @@ use std::collections::VecDeque;
 use std::time::Instant;
 
 use super::{NotTaken, Request, Token};
-use crate::wsg::Command;
+use crate::wsg::{Command, id};
 
-/// Limit of waiting requests per lane. The gateway uses a few dozen ids with one request in flight each. Only a caller
-/// that does not wait for replies exceeds the limit.
+/// Limit of waiting requests per lane, besides motions. The gateway uses a few dozen ids with one request in flight
+/// each. Only a caller that does not wait for replies exceeds the limit.
 pub const MAX_WAITING: usize = 64;
 
-/// Limit of waiting requests of one id, other than Stops and FAST STOPs. Without it, many reads of one kind could have
-/// a motion refused.
+/// Limit of waiting requests of one id, other than Stops and FAST STOPs. So many requests of one kind do not cause
+/// others to be refused.
 pub const MAX_WAITING_PER_ID: usize = 16;
 
 /// A request that has not been written yet.
@@ -42,10 +42,11 @@ impl Lanes {
             Command::Stop => (&mut self.stop, MAX_WAITING),
             _ => (&mut self.rest, MAX_WAITING_PER_ID),
         };
-        if lane.len() >= MAX_WAITING {
+        let ids = || lane.iter().map(|other| other.request.command.id());
+        if !id::is_motion(id) && ids().filter(|other| !id::is_motion(*other)).count() >= MAX_WAITING {
             return Err(NotTaken::Full { limit: MAX_WAITING });
         }
-        if lane.iter().filter(|other| other.request.command.id() == id).count() >= per_id {
+        if ids().filter(|other| *other == id).count() >= per_id {
             return Err(NotTaken::Full { limit: per_id });
         }
         lane.push_back(waiting);

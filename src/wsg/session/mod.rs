@@ -240,8 +240,8 @@ impl Session {
     /// Queues a request. It ends with exactly one [`SessionEvent::Ended`], unless it is withdrawn.
     ///
     /// # Errors
-    /// [`NotTaken`] if the lane is full, the script has not replied to an earlier request, or the request is too long
-    /// for the line while the fingers move. No event follows.
+    /// [`NotTaken`] if too many are waiting, the script has not replied to an earlier request, or the request is too
+    /// long for the line while the fingers move. No event follows.
     pub fn submit(&mut self, now: Instant, request: Request) -> Result<Token, NotTaken> {
         let line_time = self.config.line_time_of(&request.command);
         if self.may_move() && self.config.is_too_long(&request.command) {

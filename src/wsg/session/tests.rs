@@ -407,6 +407,7 @@ fn lanes_are_bounded() {
         rig.submit(script(n));
     }
     assert_eq!(rig.refused(script(left)), NotTaken::Full { limit: MAX_WAITING });
+    rig.submit(grip());
     rig.submit(Command::FastStop);
 }
 
