@@ -94,7 +94,7 @@ pub struct Flags {
     #[arg(long, value_name = "FILE", env = "WSG_GATEWAY_CONFIG")]
     pub config: Option<PathBuf>,
     /// File of tokens; with it, clients need a token [default: tokens.json beside the --config file, if that has an
-    /// [access] or [[clients]] section]
+    /// `[access]` or `[[clients]]` section]
     #[arg(long, value_name = "FILE", env = "WSG_GATEWAY_TOKENS")]
     pub tokens: Option<PathBuf>,
     /// Allow addresses other than loopback without credentials and TLS: any client that reaches them can move the
