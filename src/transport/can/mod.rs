@@ -15,7 +15,7 @@ use rustix::io::Errno;
 use socketcan::tokio::CanSocket;
 use socketcan::{CanFilter, CanFrame, EmbeddedFrame, SocketOptions, StandardId};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio::time::{Interval, MissedTickBehavior, Sleep, interval, sleep};
+use tokio::time::{Instant, Interval, MissedTickBehavior, Sleep, interval, sleep};
 use url::Url;
 
 use super::options::Options;
@@ -245,7 +245,7 @@ impl AsyncRead for Reader {
 }
 
 /// Time limit for the kernel to report a frame as sent, besides its line time. It is shorter than the time limit of a
-/// request: a motion must not follow after it was given up and a Stop behind it was refused.
+/// request, so that no motion follows after it was given up and a Stop behind it was refused.
 const SENT_WITHIN: Duration = Duration::from_millis(500);
 
 /// Sends each write as one frame, which starts in a new slice.
@@ -294,7 +294,10 @@ impl Writer {
 
     /// Fails if the current frame is late.
     fn check_limit(&mut self, cx: &mut Context<'_>) -> io::Result<()> {
-        if self.limit.as_mut().is_none_or(|limit| limit.as_mut().poll(cx).is_pending()) {
+        // After a stall, the timer can be behind the clock.
+        let is_late =
+            |limit: &mut Pin<Box<Sleep>>| limit.as_mut().poll(cx).is_ready() || limit.deadline() <= Instant::now();
+        if !self.limit.as_mut().is_some_and(is_late) {
             return Ok(());
         }
         let detail = format!("a frame was not sent within {} ms: check cable and bit rate", SENT_WITHIN.as_millis());
@@ -318,7 +321,7 @@ impl AsyncWrite for Writer {
         loop {
             ready!(this.poll_sent(cx))?;
             let Some(slice) = this.queue.front().copied() else { break };
-            // No motion continues late. A frame of one slice, such as a FAST STOP, is sent even after a stall.
+            // A motion must not continue late. A frame of one slice, such as a FAST STOP, is sent even after a stall.
             if this.has_begun {
                 this.check_limit(cx)?;
             }
