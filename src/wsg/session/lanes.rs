@@ -6,12 +6,12 @@ use std::time::Instant;
 use super::{NotTaken, Request, Token};
 use crate::wsg::{Command, id};
 
-/// Limit of waiting requests per lane, besides motions. The gateway uses a few dozen ids with one request in flight
-/// each. Only a caller that does not wait for replies exceeds the limit.
+/// Limit of waiting requests per lane, besides motions and their forces. The gateway uses a few dozen ids with one
+/// request in flight each. Only a caller that does not wait for replies exceeds the limit.
 pub const MAX_WAITING: usize = 64;
 
-/// Limit of waiting requests of one id, other than Stops and FAST STOPs. So many requests of one kind do not cause
-/// others to be refused.
+/// Limit of waiting requests of one id, other than Stops and FAST STOPs. It keeps many requests of one kind from
+/// causing others to be refused.
 pub const MAX_WAITING_PER_ID: usize = 16;
 
 /// A request that has not been written yet.
@@ -43,7 +43,7 @@ impl Lanes {
             _ => (&mut self.rest, MAX_WAITING_PER_ID),
         };
         let ids = || lane.iter().map(|other| other.request.command.id());
-        if !id::is_motion(id) && ids().filter(|other| !id::is_motion(*other)).count() >= MAX_WAITING {
+        if !belongs_to_motion(id) && ids().filter(|other| !belongs_to_motion(*other)).count() >= MAX_WAITING {
             return Err(NotTaken::Full { limit: MAX_WAITING });
         }
         if ids().filter(|other| *other == id).count() >= per_id {
@@ -102,6 +102,11 @@ impl Lanes {
     pub(super) fn is_empty(&self) -> bool {
         self.fast_stop.is_empty() && self.stop.is_empty() && self.rest.is_empty()
     }
+}
+
+/// Whether a request is a motion, or sets the force of one.
+fn belongs_to_motion(id: u8) -> bool {
+    id::is_motion(id) || id == id::SET_FORCE_LIMIT
 }
 
 fn pop_open(lane: &mut VecDeque<Waiting>, is_open: impl Fn(&Waiting) -> bool) -> Option<Waiting> {

@@ -402,7 +402,7 @@ fn lanes_are_bounded() {
         let id = 0xB0 + (n / MAX_WAITING_PER_ID) as u8;
         Command::Custom(CustomCommand::new(id, vec![]).unwrap())
     };
-    let left = MAX_WAITING - MAX_WAITING_PER_ID - 1;
+    let left = MAX_WAITING - MAX_WAITING_PER_ID;
     for n in 0..left {
         rig.submit(script(n));
     }
