@@ -1,4 +1,4 @@
-//! Stops and FAST STOPs on a WebSocket: after a motion, with mistakes, and just before or behind the socket's end.
+//! Stops and FAST STOPs on a WebSocket: after a motion, with mistakes, and just before or after the socket's end.
 
 use serde_json::{Value, json};
 
@@ -67,7 +67,7 @@ async fn fast_stop_in_another_encoding_or_after_a_mistake_counts() {
 }
 
 #[tokio::test]
-async fn stop_behind_the_end_of_its_socket_counts() {
+async fn stop_after_the_end_of_its_socket_counts() {
     let device = Simulator::start(&[]).await;
     let gateway = Gateway::homed_at(device.address).await;
     let mut owner = Socket::open(&gateway).await;

@@ -11,7 +11,7 @@ use tokio_tungstenite::tungstenite::protocol::frame::Frame;
 use tokio_tungstenite::tungstenite::protocol::frame::coding::CloseCode;
 
 use super::end::SocketEnd;
-use super::rpc::{self, Incoming, RpcCall};
+use super::rpc::{self, Incoming};
 use super::socket::Socket;
 use crate::events::encoded;
 use crate::gripper::model::{LossCause, Urgency};
@@ -23,9 +23,18 @@ const FAREWELL_WITHIN: Duration = Duration::from_secs(1);
 /// Consecutive reads without a message that end the search for FAST STOPs and Stops. The longest message needs fewer.
 const MAX_MISSES: u8 = 40;
 
-/// Maximum number of messages that are searched for FAST STOPs and Stops after the end of their socket, and maximum
-/// number of FAST STOPs and Stops that are begun then.
+/// Maximum number of messages that are searched for FAST STOPs and Stops after the end of their socket.
 const MAX_LAST_MESSAGES: usize = 256;
+
+/// Maximum number of FAST STOPs, and of Stops, that are begun after the end of their socket.
+const MAX_LAST_STOPS: usize = 256;
+
+/// Numbers of FAST STOPs and Stops that were found after the end of their socket.
+#[derive(Default)]
+struct Begun {
+    fast_stops: usize,
+    stops: usize,
+}
 
 impl Socket {
     /// Serves the client until its end.
@@ -36,7 +45,7 @@ impl Socket {
         while let Some(Some(done)) = self.calls.next().now_or_never() {
             self.take_done(done);
         }
-        let mut begun = 0;
+        let mut begun = Begun::default();
         if end != SocketEnd::Closing {
             self.take_last_stops(&mut begun).await;
         }
@@ -82,7 +91,7 @@ impl Socket {
     }
 
     /// Begins the FAST STOPs and Stops among the messages that have arrived. They end without the socket.
-    async fn take_last_stops(&mut self, begun: &mut usize) {
+    async fn take_last_stops(&mut self, begun: &mut Begun) {
         let (mut messages, mut misses) = (0, 0);
         while messages < MAX_LAST_MESSAGES && misses < MAX_MISSES {
             match self.incoming.next().now_or_never() {
@@ -99,7 +108,7 @@ impl Socket {
     }
 
     /// Begins the FAST STOPs and Stops in a message, and nothing else.
-    fn begin_stops_in(&mut self, message: &Message, begun: &mut usize) {
+    fn begin_stops_in(&mut self, message: &Message, begun: &mut Begun) {
         self.incoming.get_mut().taken();
         let (Message::Text(_) | Message::Binary(_)) = message else { return };
         let payload = message.clone().into_data();
@@ -107,11 +116,17 @@ impl Socket {
             Incoming::One(call) => vec![call],
             Incoming::Batch(calls) => calls,
         };
-        let is_stop = |call: &RpcCall| matches!(urgency(&call.method), Urgency::FastStop | Urgency::Stop);
-        for call in calls.into_iter().flatten().filter(is_stop).take(MAX_LAST_MESSAGES - *begun) {
+        for call in calls.into_iter().flatten() {
+            let begun = match urgency(&call.method) {
+                Urgency::FastStop => &mut begun.fast_stops,
+                Urgency::Stop => &mut begun.stops,
+                Urgency::Lease | Urgency::None => continue,
+            };
             *begun += 1;
-            // Its first poll begins it.
-            let _ = self.answered(Ok(call)).now_or_never();
+            if *begun <= MAX_LAST_STOPS {
+                // Its first poll begins it.
+                let _ = self.answered(Ok(call)).now_or_never();
+            }
         }
     }
 }
