@@ -53,7 +53,7 @@ const MAX_LAST_REQUESTS: usize = 256;
 const MAX_UNDER_WAY: usize = 64;
 
 /// Delay of a timer that shows a stall of the gateway.
-const LATE: Duration = Duration::from_millis(50);
+const LATE: Duration = Duration::from_millis(20);
 
 /// Time limit for the runtime to notice, after a stall, what has arrived.
 const NOTICED_WITHIN: Duration = Duration::from_millis(100);
