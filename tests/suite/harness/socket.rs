@@ -147,6 +147,10 @@ impl Socket {
 
     /// Waits for the answer to this request.
     pub async fn answer(&mut self, id: u64) -> Value {
+        // It can have arrived before the answer to an earlier request.
+        if let Some(index) = self.queued.iter().position(|message| message["id"] == id) {
+            return self.queued.remove(index).unwrap();
+        }
         loop {
             let read = self.read().await.expect("an answer arrives");
             if read["id"] == id {
