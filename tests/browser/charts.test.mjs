@@ -10,7 +10,7 @@ const launched = await browser();
 test('charts show the time before a reload', async () => {
   const served = await gateway();
   await served.ask('POST', 'grippers/left/home');
-  await served.ask('POST', 'grippers/left/move', { width_mm: 50, speed_mm_s: 100 });
+  await served.ask('POST', 'grippers/left/move', { width_mm: 50, speed_mm_s: 25 });
   const visitor = await visit(launched, served);
   const { page } = visitor;
   await page.waitForSelector('.charts canvas');
@@ -19,7 +19,7 @@ test('charts show the time before a reload', async () => {
   const widths = await page.evaluate(
     "find('left').samples.window(-60000, performance.now(), 1000)[1].filter((width) => width !== null)",
   );
-  // Samples of the way from 109 mm are 20 mm apart.
+  // Samples of the way from 109 mm are 5 mm apart, or more on a busy machine.
   assert.ok(Math.max(...widths) > 80 && Math.abs(widths.at(-1) - 50) < 1, `${widths}`);
   assertClean(visitor);
 });
