@@ -213,6 +213,40 @@ test('a handed-over jog is cancelled as soon as its id is known', async () => {
   await stopped();
 });
 
+test('a short silence is shown, a longer one is an alarm', async () => {
+  const served = await gateway();
+  const { page } = await visit(launched, served);
+  let isSilent = false;
+  let passed = 0;
+  await filtered(page, {
+    toPage: () => {
+      if (!isSilent) passed += 1;
+      return !isSilent;
+    },
+  });
+  await page.clock.install();
+  await page.reload();
+  await page.waitForSelector('#take-control');
+  await page.waitForSelector('.alarms-panel');
+  isSilent = true;
+  // A jump within which the page looks once.
+  await page.clock.pauseAt(Date.now() + 2000);
+  const appears = (selector) =>
+    until(selector, async () => {
+      await page.clock.runFor(200);
+      return (await page.locator(selector).count()) > 0;
+    });
+  await appears('.jaws-panel .cover');
+  passed = 0;
+  isSilent = false;
+  await until('messages arrive', () => passed > 5);
+  await page.clock.runFor(200);
+  await page.waitForFunction(() => !document.querySelector('.jaws-panel .cover'));
+  await page.waitForSelector('.alarm-badge:has-text("No alarms")');
+  isSilent = true;
+  await appears('.alarm:has-text("No connection to the gateway")');
+});
+
 test('a command lost with the gateway is not shown as running', async () => {
   const first = await gateway();
   const { page, allowed } = await visit(launched, first);

@@ -23,6 +23,12 @@ const STALE_AFTER_MS = 1200;
 const ASKED_EVERY_MS = 500;
 const LOOKED_EVERY_MS = 200;
 
+/**
+ * Consecutive looks that must find silence until it is an alarm, about 2 s. A shorter silence is only shown: the page
+ * itself or its computer may have been busy.
+ */
+const ALARMED_AFTER_LOOKS = 4;
+
 /** Silence after which the connection is replaced. */
 const RENEWED_AFTER_MS = 4000;
 
@@ -54,6 +60,8 @@ export const others = new Map();
 const isHidden = signal(document.hidden);
 const byName = new Map();
 let lastHeard = -Infinity;
+/** Number of consecutive looks that have found silence. */
+let silentLooks = 0;
 let isDirty = false;
 let shownAt = 0;
 const drawings = new Set();
@@ -197,12 +205,13 @@ function look() {
     : silence > STALE_AFTER_MS
       ? 'silent'
       : 'live';
+  silentLooks = next === 'silent' ? silentLooks + 1 : 0;
   batch(() => {
     if (next !== connection.peek()) {
       connection.value = next;
       if (next !== 'live') byName.forEach((one) => one.samples.gap());
-      noteGateway(next === 'lost' || next === 'silent');
     }
+    noteGateway(next === 'lost' || silentLooks >= ALARMED_AFTER_LOOKS);
     if (next === 'live') heardAt.value = Date.now() - silence;
     const second = Math.floor(Date.now() / 1000) * 1000;
     if (second !== now.peek()) now.value = second;
