@@ -9,10 +9,11 @@ const launched = await browser();
 
 /**
  * Filters the messages between a page and the gateway, from the page's next load on. `toPage` gets a message, a function
- * that passes the message on, and the request that it answers, if any.
+ * that passes the message on, and the request that it answers, if any. `onOpen` gets each connection of the page.
  */
-function filtered(page, { toPage = () => true, toGateway = () => true }) {
+function filtered(page, { toPage = () => true, toGateway = () => true, onOpen = () => {} }) {
   return page.routeWebSocket('**/api/v1/ws', (socket) => {
+    onOpen(socket);
     const server = socket.connectToServer();
     const requests = new Map();
     socket.onMessage((message) => {
@@ -213,38 +214,86 @@ test('a handed-over jog is cancelled as soon as its id is known', async () => {
   await stopped();
 });
 
-test('a short silence is shown, a longer one is an alarm', async () => {
+/** A page whose clock is paused, and whose messages from the gateway can be kept back. */
+async function paused() {
   const served = await gateway();
   const { page } = await visit(launched, served);
-  let isSilent = false;
-  let passed = 0;
+  const line = { isSilent: false, passed: 0, subscribed: 0, socket: null };
   await filtered(page, {
+    onOpen: (socket) => {
+      line.socket = socket;
+    },
+    toGateway: ({ method }) => {
+      line.subscribed += method === 'subscribe' ? 1 : 0;
+      return true;
+    },
     toPage: () => {
-      if (!isSilent) passed += 1;
-      return !isSilent;
+      line.passed += line.isSilent ? 0 : 1;
+      return !line.isSilent;
     },
   });
   await page.clock.install();
   await page.reload();
   await page.waitForSelector('#take-control');
   await page.waitForSelector('.alarms-panel');
-  isSilent = true;
-  // A jump within which the page looks once.
-  await page.clock.pauseAt(Date.now() + 2000);
-  const appears = (selector) =>
-    until(selector, async () => {
+  await page.clock.pauseAt(Date.now() + 3000);
+  const shows = async (selector) => (await page.locator(selector).count()) > 0;
+  /** Lets the page's time pass until the selector matches. Returns the milliseconds. */
+  const passes = async (selector) => {
+    let ms = 0;
+    await until(selector, async () => {
+      if (await shows(selector)) return true;
       await page.clock.runFor(200);
-      return (await page.locator(selector).count()) > 0;
+      ms += 200;
+      return false;
     });
-  await appears('.jaws-panel .cover');
-  passed = 0;
-  isSilent = false;
-  await until('messages arrive', () => passed > 5);
-  await page.clock.runFor(200);
-  await page.waitForFunction(() => !document.querySelector('.jaws-panel .cover'));
-  await page.waitForSelector('.alarm-badge:has-text("No alarms")');
-  isSilent = true;
-  await appears('.alarm:has-text("No connection to the gateway")');
+    return ms;
+  };
+  /** Lets messages pass until the page is live. */
+  const live = async () => {
+    line.isSilent = false;
+    await until('the page is live', async () => {
+      const { passed } = line;
+      await until('messages pass', () => line.passed > passed);
+      await page.clock.runFor(200);
+      return !(await shows('.jaws-panel .cover'));
+    });
+  };
+  await live();
+  return { page, line, shows, passes, live };
+}
+
+test('a short silence is shown, a longer one is an alarm', async () => {
+  const { line, shows, passes, live } = await paused();
+  line.isSilent = true;
+  assert.ok((await passes('.jaws-panel .cover:has-text("The gateway is not responding")')) < 2000);
+  assert.ok(await shows('.alarm-badge:has-text("Alarms: unknown")'));
+  assert.ok(await shows('.alarms-panel:has-text("Alarms: unknown")'));
+  await live();
+  assert.ok(await shows('.alarm-badge:has-text("No alarms")'));
+  line.isSilent = true;
+  const alarmedAfterMs = await passes('.alarm:has-text("No connection to the gateway")');
+  assert.ok(alarmedAfterMs < 3000, `${alarmedAfterMs} ms`);
+  assert.ok(await shows('.jaws-panel .cover:has-text("The gateway is not responding")'), 'still the same connection');
+});
+
+test('a new connection without messages is still lost', async () => {
+  const { page, line, shows, passes, live } = await paused();
+  const lost = '.jaws-panel .cover:has-text("No connection to the gateway")';
+  const { subscribed, socket } = line;
+  line.isSilent = true;
+  await socket.close();
+  assert.ok((await passes(lost)) < 1000);
+  assert.ok(await shows('.alarm:has-text("No connection to the gateway")'));
+  let looksAfter = 0;
+  await until('the page has looked after it had reconnected', async () => {
+    await page.clock.runFor(200);
+    assert.ok(await shows(lost));
+    looksAfter += line.subscribed > subscribed ? 1 : 0;
+    return looksAfter > 5;
+  });
+  await live();
+  assert.ok(await shows('.alarm:has-text("cleared")'));
 });
 
 test('a command lost with the gateway is not shown as running', async () => {

@@ -24,8 +24,8 @@ const ASKED_EVERY_MS = 500;
 const LOOKED_EVERY_MS = 200;
 
 /**
- * Consecutive looks that must find silence until it is an alarm, about 2 s. A shorter silence is only shown: the page
- * itself or its computer may have been busy.
+ * Number of consecutive looks that must find silence before the page raises an alarm: about 2 s on a visible page. A
+ * shorter silence is only shown, because the page itself or its computer may have been busy.
  */
 const ALARMED_AFTER_LOOKS = 4;
 
@@ -59,6 +59,9 @@ export const others = new Map();
 
 const isHidden = signal(document.hidden);
 const byName = new Map();
+/** Time at which the connection was opened. */
+let openedAt = -Infinity;
+/** Time of the newest message on this connection. */
 let lastHeard = -Infinity;
 /** Number of consecutive looks that have found silence. */
 let silentLooks = 0;
@@ -112,10 +115,12 @@ function takeState(state, at = performance.now()) {
 export const rpc = new Rpc({
   label: () => myName.peek(),
   onOpen: () => {
+    openedAt = performance.now();
     subscribe();
     lookForNewer();
   },
   onEnd: () => {
+    lastHeard = -Infinity;
     // A lease ends with its connection.
     byName.forEach((one) => {
       one.loseControl('disconnected');
@@ -195,16 +200,19 @@ export async function learnSettings(one, names = ['soft-limits', 'force-limit'])
   return answers.find(({ status }) => status === 'rejected')?.reason ?? null;
 }
 
+/** Returns the connection's state. An open connection on which no message has arrived changes nothing. */
+function connectionAfter(silence) {
+  const before = connection.peek();
+  if (rpc.isOpen && silence <= STALE_AFTER_MS) return 'live';
+  if (before === 'connecting') return 'connecting';
+  return rpc.isOpen && before !== 'lost' ? 'silent' : 'lost';
+}
+
 /** Updates the connection state and the clock. */
 function look() {
-  const silence = performance.now() - lastHeard;
-  const next = !rpc.isOpen
-    ? connection.peek() === 'connecting'
-      ? 'connecting'
-      : 'lost'
-    : silence > STALE_AFTER_MS
-      ? 'silent'
-      : 'live';
+  const at = performance.now();
+  const silence = at - lastHeard;
+  const next = connectionAfter(silence);
   silentLooks = next === 'silent' ? silentLooks + 1 : 0;
   batch(() => {
     if (next !== connection.peek()) {
@@ -216,7 +224,7 @@ function look() {
     const second = Math.floor(Date.now() / 1000) * 1000;
     if (second !== now.peek()) now.value = second;
   });
-  if (silence > RENEWED_AFTER_MS && rpc.isOpen) rpc.renew();
+  if (rpc.isOpen && at - Math.max(lastHeard, openedAt) > RENEWED_AFTER_MS) rpc.renew();
 }
 
 setInterval(look, LOOKED_EVERY_MS);

@@ -108,7 +108,6 @@ export class Rpc {
       if (socket !== this.#socket) return;
       clearTimeout(tooLate);
       this.#tries = 0;
-      this.handlers.onHeard?.(performance.now());
       // The first message is its answer.
       this.#begun = early && {
         params: early.asked.params,

@@ -124,7 +124,7 @@ function controlItem(one) {
 
 function Alarms() {
   const open = alarms.value.filter(isOpen);
-  if (open.length === 0 && connection.value === 'connecting') {
+  if (open.length === 0 && !isLive.value) {
     return html`<p class="alarm-badge"><${Shape} name="off" /><span>${t('bar.alarms_unknown')}</span></p>`;
   }
   const worst = PRIORITIES.find((priority) => open.some((alarm) => alarm.priority === priority));

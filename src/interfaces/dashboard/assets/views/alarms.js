@@ -6,7 +6,7 @@ import { person } from '../core/people.js';
 import { acknowledgeAlarms, alarms } from '../model/alarms.js';
 import { moment, ofProblem, t } from '../model/i18n.js';
 import { mayOperate } from '../model/me.js';
-import { rpc, selected } from '../model/store.js';
+import { isLive, rpc, selected } from '../model/store.js';
 import { Panel, Shape } from '../ui/parts.js';
 import { go } from '../ui/route.js';
 import { alarmName, causeText } from './alarm.js';
@@ -63,6 +63,11 @@ function Row({ alarm }) {
   </li>`;
 }
 
+function NoAlarms() {
+  const [shape, text] = isLive.value ? ['check', 'alarm.none'] : ['off', 'bar.alarms_unknown'];
+  return html`<p class="muted nothing"><${Shape} name=${shape} /> ${t(text)}</p>`;
+}
+
 export function Alarms() {
   const list = sorted(alarms.value);
   const open = list.filter((alarm) => isOpen(alarm) && mayOperate(alarm.gripper));
@@ -76,7 +81,7 @@ export function Alarms() {
     <div role="alert">${refusals.value.map((text) => html`<p key=${text} class="problem">${text}</p>`)}</div>
     ${
       list.length === 0
-        ? html`<p class="muted nothing"><${Shape} name="check" /> ${t('alarm.none')}</p>`
+        ? html`<${NoAlarms} />`
         : html`<ul class="alarm-list">${list.map((alarm) => html`<${Row} key=${alarm.id} alarm=${alarm} />`)}</ul>`
     }
     <p class="hint">${t('alarm.hint')}</p>
