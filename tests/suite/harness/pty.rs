@@ -9,6 +9,7 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::runtime::Builder;
 use tokio::sync::oneshot;
 use tokio::task::spawn_blocking;
+use tokio::time::{sleep, timeout};
 use tokio_serial::SerialStream;
 
 /// Delay of a byte that can make a test fail: the longest gap within a frame.
@@ -20,12 +21,14 @@ const MEASURED_EVERY: Duration = Duration::from_millis(5);
 /// Maximum number of runs of a test.
 const RUNS: usize = 5;
 
-/// Consecutive bytes in time that show that another run is worthwhile, and maximum number of bytes until then.
+/// Number of consecutive bytes that must be in time before the next run.
 const IN_TIME: usize = 200;
-const MOST_BYTES: usize = 10_000;
 
-/// Runs a test. If it fails while bytes of another pty are late, waits until they are in time, and runs it again. Each
-/// run has a runtime of its own.
+/// Longest wait for them. The next run begins after it in any case.
+const CALM_WITHIN: Duration = Duration::from_secs(60);
+
+/// Runs a test. If it fails while bytes of another pty are late, waits until they are in time (see `calm`), and runs it
+/// again. Each run has a runtime of its own.
 pub async fn on_pty<T: Future<Output = ()>>(test: impl Fn() -> T + Copy + Send + 'static) {
     for run in 1..=RUNS {
         let (stop, is_over) = oneshot::channel();
@@ -46,20 +49,17 @@ pub async fn on_pty<T: Future<Output = ()>>(test: impl Fn() -> T + Copy + Send +
     }
 }
 
-/// Waits until bytes are in time again.
+/// Waits until bytes are in time again, for at most `CALM_WITHIN`.
 async fn calm() {
     let (mut near, mut far) = SerialStream::pair().unwrap();
-    let mut in_time = 0;
-    for _ in 0..MOST_BYTES {
-        let sent = Instant::now();
-        near.write_all(b"?").await.unwrap();
-        far.read_u8().await.unwrap();
-        in_time = if sent.elapsed() < LATE { in_time + 1 } else { 0 };
-        if in_time == IN_TIME {
-            return;
+    let _ = timeout(CALM_WITHIN, async {
+        let mut in_time = 0;
+        while in_time < IN_TIME {
+            in_time = if delivery(&mut near, &mut far).await < LATE { in_time + 1 } else { 0 };
+            sleep(MEASURED_EVERY).await;
         }
-        tokio::time::sleep(MEASURED_EVERY).await;
-    }
+    })
+    .await;
 }
 
 /// Returns the slowest delivery of a byte until the sender of `is_over` is dropped.
@@ -68,15 +68,18 @@ async fn slowest(mut is_over: oneshot::Receiver<()>) -> Duration {
     let mut slowest = Duration::ZERO;
     loop {
         let sent = Instant::now();
-        near.write_all(b"?").await.unwrap();
-        let ended = tokio::select! {
-            _ = &mut is_over => true,
-            read = far.read_u8() => read.map(|_| false).unwrap(),
-        };
-        slowest = slowest.max(sent.elapsed());
-        if ended {
-            return slowest;
+        tokio::select! {
+            _ = &mut is_over => return slowest.max(sent.elapsed()),
+            took = delivery(&mut near, &mut far) => slowest = slowest.max(took),
         }
-        tokio::time::sleep(MEASURED_EVERY).await;
+        sleep(MEASURED_EVERY).await;
     }
+}
+
+/// Sends a byte from one side of a pty to the other, and returns how long it took.
+async fn delivery(near: &mut SerialStream, far: &mut SerialStream) -> Duration {
+    let sent = Instant::now();
+    near.write_all(b"?").await.unwrap();
+    far.read_u8().await.unwrap();
+    sent.elapsed()
 }
