@@ -8,7 +8,7 @@ use std::process::Command;
 use anyhow::Context as _;
 use flate2::Compression;
 use flate2::write::GzEncoder;
-use serde_json::{Map, Value};
+use serde_json::Value;
 use tar::{Builder, Header};
 use url::Url;
 
@@ -25,8 +25,8 @@ const LOG_LINES: &str = "2000";
 /// Words in the names of keys whose values stay out of the archive.
 const SECRET_WORDS: [&str; 4] = ["secret", "token", "password", "key"];
 
-/// Fields of events that can identify products.
-const PRODUCT_FIELDS: [&str; 1] = ["part_id"];
+/// Members of events that can identify products, wherever they are.
+const PRODUCT_MEMBERS: [&str; 2] = ["part_id", "description"];
 
 const REDACTED: &str = "REDACTED";
 
@@ -117,23 +117,34 @@ fn redact(key: &str, value: &mut toml::Value) {
     }
 }
 
-/// Returns the newest events, without the ids of parts.
+/// Returns the newest events, without the ids and descriptions of parts.
 fn events(config: &Config) -> Option<String> {
     let JournalPlace::File(path) = &config.journal.place else { return None };
     let query = EventQuery { limit: Limit::new(EVENTS).ok()?, ..EventQuery::default() };
     let page = Reader::open(path).ok()?.events(&query).ok()?;
     let lines = page.bodies.iter().filter_map(|body| {
-        let mut event: Map<String, Value> = serde_json::from_str(body).ok()?;
-        for field in PRODUCT_FIELDS {
-            event.entry(field).and_modify(|value| *value = value.as_str().map_or(Value::Null, |_| REDACTED.into()));
-        }
-        Some(format!("{}\n", Value::Object(event)))
+        let mut event = serde_json::from_str(body).ok()?;
+        redact_products(&mut event);
+        Some(format!("{event}\n"))
     });
     Some(lines.collect())
 }
 
+fn redact_products(value: &mut Value) {
+    match value {
+        Value::Object(members) => members.iter_mut().for_each(|(name, value)| match value {
+            Value::String(text) if PRODUCT_MEMBERS.contains(&name.as_str()) => REDACTED.clone_into(text),
+            _ => redact_products(value),
+        }),
+        Value::Array(items) => items.iter_mut().for_each(redact_products),
+        _ => {}
+    }
+}
+
 #[cfg(test)]
 mod tests {
+    use serde_json::json;
+
     use super::*;
 
     #[test]
@@ -147,5 +158,16 @@ mod tests {
             assert!(redacted.contains(kept), "{kept}: {redacted}");
         }
         assert!(super::redacted("secret = s3cret").starts_with("# left out"));
+    }
+    #[test]
+    fn products_are_redacted_wherever_they_are() {
+        let mut event = json!({
+            "kind": "recipe", "part_id": "s3cret", "part": null,
+            "definition": {"part_id": "s3cret", "description": "s3cret", "number": 7},
+            "changes": [{"part_id": null}, {"part_id": "s3cret"}],
+        });
+        redact_products(&mut event);
+        assert!(!event.to_string().contains("s3cret"), "{event}");
+        assert_eq!((&event["definition"]["number"], &event["changes"][0]["part_id"]), (&json!(7), &Value::Null));
     }
 }
