@@ -18,7 +18,7 @@ use super::token_file::{FileVersion, StoredToken, TokenFile, TokenFileError, Tok
 /// Pause before a file of tokens that could not be read is read again.
 const RETRIED_AFTER: Duration = Duration::from_secs(1);
 
-/// The clients that can make a FAST STOP without a credential.
+/// The clients that can trigger a FAST STOP without a credential.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum FastStopPolicy {

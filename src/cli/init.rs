@@ -136,7 +136,7 @@ fn configuration(listen: SocketAddr, hosts: &[String]) -> String {
          [access]\n\
          # More tokens: wsg-gateway token create --config FILE --name plc7 --role operator\n\
          tokens = \"{TOKENS}\"\n\
-         # Who may make a FAST STOP: \"credential\" for clients with any token, \"anyone\" for all.\n\
+         # Who may trigger a FAST STOP: \"credential\" for clients with any token, \"anyone\" for all.\n\
          fast_stop = \"credential\"\n\
          \n\
          # Replace this simulated gripper with yours, e.g. url = \"tcp://192.168.1.20:1000\".\n\

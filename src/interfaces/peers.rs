@@ -23,7 +23,7 @@ impl KnownPeers {
     }
 
     /// Whether a client may connect: from an allowed network, or as a known client. Without a list of networks, a gateway
-    /// that needs credentials accepts known clients and its own host; others accept every client.
+    /// that needs credentials accepts known clients and loopback; others accept every client.
     #[must_use]
     pub fn allows(&self, peer: IpAddr) -> bool {
         let peer = peer.to_canonical();

@@ -44,7 +44,7 @@ pub struct Me {
 pub struct GripperRole {
     #[schema(value_type = String)]
     gripper: Name,
-    /// The client's role for this gripper; null if it may only make FAST STOPs.
+    /// The client's role for this gripper; null if it may only trigger FAST STOPs.
     #[schema(value_type = Option<Role>)]
     role: Option<Role>,
 }
