@@ -36,7 +36,7 @@ pub enum Role {
 /// The right that an operation requires.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, strum::VariantArray)]
 pub enum Right {
-    /// Makes a FAST STOP.
+    /// Triggers a FAST STOP.
     FastStop,
     /// Stops a motion.
     Stop,

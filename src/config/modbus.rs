@@ -27,7 +27,7 @@ pub struct Modbus {
     pub address: SocketAddr,
     /// Place of the address in the configuration.
     pub place: ConfigPlace,
-    /// Networks that may connect. If empty: known clients and this computer, or every client if the gateway needs no
+    /// Networks that may connect. If empty: known clients and loopback, or every client if the gateway needs no
     /// credentials (see `KnownPeers::allows`).
     pub allow: Vec<IpNet>,
     /// Longest time between two changes of a client's heartbeat.

@@ -29,7 +29,7 @@ const LOST_AFTER_MS: RangeInclusive<u32> = 100..=60_000;
 pub struct WsgPort {
     /// Addresses that the port is served on, with their places in the configuration.
     pub addresses: Vec<(WsgAddress, ConfigPlace)>,
-    /// Networks that may connect. If empty: known clients and this computer, or every client if the gateway needs no
+    /// Networks that may connect. If empty: known clients and loopback, or every client if the gateway needs no
     /// credentials (see `KnownPeers::allows`).
     pub allow: Vec<IpNet>,
     /// FAST STOPs that a client may acknowledge.

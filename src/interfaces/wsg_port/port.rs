@@ -37,7 +37,7 @@ pub struct Rules {
     pub checksum_evaluation: bool,
     /// Whether every client may acknowledge every FAST STOP.
     pub acknowledge_any: bool,
-    /// Networks that may connect. If empty: known clients and this computer, or every client if the gateway needs no
+    /// Networks that may connect. If empty: known clients and loopback, or every client if the gateway needs no
     /// credentials (see [`KnownPeers::allows`]).
     pub allow: Vec<IpNet>,
 }

@@ -24,7 +24,7 @@ const RUNS: usize = 5;
 /// Number of consecutive bytes that must be in time before the next run.
 const IN_TIME: usize = 200;
 
-/// Longest wait for them. The next run begins after it in any case.
+/// Longest wait for these bytes. After this time, the next run begins in any case.
 const CALM_WITHIN: Duration = Duration::from_secs(60);
 
 /// Runs a test. If it fails while bytes of another pty are late, waits until they are in time (see `calm`), and runs it
