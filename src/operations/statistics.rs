@@ -9,6 +9,7 @@ use super::operation::{Operation, reply};
 use super::problem::Problem;
 use super::reply::Json;
 use super::values::{TextOrNumber, gripper_or_gateway, integer, part_id};
+use crate::gripper::model::time::milliseconds_or_null;
 use crate::gripper::model::{Kind, Outcome, PartId};
 use crate::journal::{Distribution, GripStatistics, StatisticsQuery};
 
@@ -59,9 +60,11 @@ pub struct StatisticsOfGrips {
     /// Grips by outcome; outcomes without grips are left out.
     outcomes: Vec<OutcomeShare>,
     /// Time of the oldest grip; null without grips.
+    #[serde(serialize_with = "milliseconds_or_null")]
     #[schema(value_type = Option<String>, required, format = DateTime)]
     first_at: Option<Timestamp>,
     /// Time of the newest grip; null without grips.
+    #[serde(serialize_with = "milliseconds_or_null")]
     #[schema(value_type = Option<String>, required, format = DateTime)]
     last_at: Option<Timestamp>,
     /// Contact widths of the grips with a part (`PART_HELD` and `WRONG_PART`), in mm.

@@ -9,7 +9,7 @@ use utoipa::OpenApi as _;
 use super::context::API;
 use crate::events::Gap;
 use crate::gripper::model::{CommandReport, DamageRecord, FrameRecord, State, Telemetry};
-use crate::interfaces::websocket::{SUBPROTOCOL, Subscribe, Subscribed};
+use crate::interfaces::websocket::{MAX_ID_BYTES, SUBPROTOCOL, Subscribe, Subscribed};
 use crate::operations::{Members, OPERATIONS as METHODS, Operation as Method};
 
 /// Notifications: name, schema and summary.
@@ -146,6 +146,10 @@ fn titled(name: &str, summary: &str, mut payload: Value) -> Value {
     json!({"name": name, "title": name, "summary": summary, "payload": payload})
 }
 
+fn id() -> Value {
+    json!({"type": ["string", "integer", "null"], "maxLength": MAX_ID_BYTES})
+}
+
 fn notification(method: &str, params: &Value) -> Value {
     let properties = json!({"jsonrpc": {"const": "2.0"}, "method": {"const": method}, "params": params});
     json!({"type": "object", "required": ["jsonrpc", "method", "params"], "properties": properties})
@@ -155,7 +159,7 @@ fn notification(method: &str, params: &Value) -> Value {
 fn request(method: &str, params: &Value) -> Value {
     let needs_params = params["required"].as_array().is_some_and(|required| !required.is_empty());
     let mut request = notification(method, params);
-    request["properties"]["id"] = json!({"type": ["string", "number", "null"]});
+    request["properties"]["id"] = id();
     request["properties"]["client"] = json!({
         "type": "string", "maxLength": 32,
         "description": "Name of the client's user, shown beside its subject; ignored if the client has a credential",
@@ -166,7 +170,7 @@ fn request(method: &str, params: &Value) -> Value {
 }
 
 fn answered(member: &str, value: Value) -> Value {
-    let mut properties = json!({"jsonrpc": {"const": "2.0"}, "id": {"type": ["string", "number", "null"]}});
+    let mut properties = json!({"jsonrpc": {"const": "2.0"}, "id": id()});
     properties[member] = value;
     json!({"type": "object", "required": ["jsonrpc", "id", member], "properties": properties})
 }
@@ -189,7 +193,7 @@ fn operation_of<'a>(openapi: &'a Value, method: &Method) -> &'a Value {
     &openapi["paths"][format!("{API}{}", method.path)][method.verb.as_str().to_lowercase()]
 }
 
-/// Returns the schema of a method's parameters: the body's fields and the path's parameters.
+/// Returns the schema of a method's parameters: the body's fields, and the parameters that HTTP has elsewhere.
 fn params(openapi: &Value, rows: &[&Method]) -> Value {
     let mut params = json!({"type": "object", "properties": {}, "additionalProperties": false});
     let mut required = BTreeSet::new();
@@ -206,8 +210,19 @@ fn params(openapi: &Value, rows: &[&Method]) -> Value {
         }
     }
     for method in rows {
-        let parameters = operation_of(openapi, method)["parameters"].as_array().into_iter().flatten();
-        for parameter in parameters.filter(|parameter| parameter["in"] == "path") {
+        let operation = operation_of(openapi, method);
+        // A DELETE over HTTP has no body, so it has the lease in the header.
+        let has_lease = method.changes_something() && operation["requestBody"].is_null();
+        let is_given = |parameter: &&Value| match parameter["in"].as_str() {
+            Some("path") => true,
+            Some("query") => method.query.iter().any(|name| parameter["name"] == *name),
+            _ => false,
+        };
+        let parameters = || operation["parameters"].as_array().into_iter().flatten();
+        for lease in parameters().filter(|parameter| has_lease && parameter["name"] == "Wsg-Lease") {
+            params["properties"]["lease"] = lease["schema"].clone();
+        }
+        for parameter in parameters().filter(is_given) {
             let name = word(parameter["name"].clone());
             params["properties"][&name] = parameter["schema"].clone();
             // A parameter that one of the operations lacks is optional.
@@ -303,5 +318,18 @@ mod tests {
                 == super::yaml(&crate::interfaces::http::openapi()).unwrap(),
             "openapi/asyncapi.yaml is stale: cargo run -- asyncapi > openapi/asyncapi.yaml"
         );
+    }
+
+    #[test]
+    fn parameters_outside_the_body_are_listed() {
+        let document = super::document(&crate::interfaces::http::openapi());
+        for (method, name) in
+            [("settings.soft-limits.clear", "lease"), ("command.latest", "request_id"), ("grips.statistics", "window")]
+        {
+            let payload = &document["components"]["messages"][method]["payload"];
+            assert!(payload["properties"]["params"]["properties"][name].is_object(), "{method}: {name}");
+        }
+        let state = &document["components"]["messages"]["state"]["payload"]["properties"]["params"];
+        assert!(state["properties"]["lease"].is_null(), "a read takes no lease");
     }
 }

@@ -39,6 +39,15 @@ pub struct GatewayQuery {
     gateway: Option<String>,
 }
 
+#[derive(IntoParams)]
+#[into_params(parameter_in = Query)]
+#[allow(dead_code, reason = "only describes the parameter that `RecordList` reads")]
+pub struct ShortLimitQuery {
+    /// Maximum number of records of each gateway; 100 by default.
+    #[param(minimum = 1, maximum = 100, default = 100)]
+    limit: Option<u64>,
+}
+
 /// Results of all gateways, this one first.
 #[derive(ToSchema)]
 #[allow(dead_code, reason = "only describes the JSON of `Results`")]
@@ -79,7 +88,7 @@ struct GatewayAnswer {
 /// answer has a problem instead.
 #[utoipa::path(
     get, path = "/fleet/events", operation_id = "fleet_events", tag = "fleet",
-    params(GatewayQuery, RecordsQuery, EventsQuery),
+    params(GatewayQuery, RecordsQuery, ShortLimitQuery, EventsQuery),
     responses((status = 200, description = "A page of each gateway", body = FleetResults<EventPage<'static>>), JournalProblem)
 )]
 pub async fn events(Shared(context): Shared<Arc<HttpContext>>, uri: Uri) -> Result<Response, Problem> {
@@ -92,7 +101,7 @@ pub async fn events(Shared(context): Shared<Arc<HttpContext>>, uri: Uri) -> Resu
 /// does not answer has a problem instead.
 #[utoipa::path(
     get, path = "/fleet/grips", operation_id = "fleet_grips", tag = "fleet",
-    params(GatewayQuery, RecordsQuery, GripsQuery),
+    params(GatewayQuery, RecordsQuery, ShortLimitQuery, GripsQuery),
     responses((status = 200, description = "A page of each gateway", body = FleetResults<GripPage<'static>>), JournalProblem)
 )]
 pub async fn grips(Shared(context): Shared<Arc<HttpContext>>, uri: Uri) -> Result<Response, Problem> {

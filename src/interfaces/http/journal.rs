@@ -46,14 +46,20 @@ pub struct RecordsQuery {
     /// Only records before this time.
     #[param(value_type = Option<String>, format = DateTime, example = "2026-11-22T09:00:00Z")]
     to: Option<String>,
-    /// Maximum number of records per page; 100 by default.
-    #[param(minimum = 1, maximum = 1000, default = 100)]
-    limit: Option<u64>,
     /// `next_cursor` of the previous page.
     #[param(pattern = "^[0-9]{1,18}$")]
     cursor: Option<String>,
     /// `newest` (default) or `oldest` first.
     order: Option<crate::journal::Order>,
+}
+
+#[derive(IntoParams)]
+#[into_params(parameter_in = Query)]
+#[allow(dead_code, reason = "only describes the parameter that `RecordList` reads")]
+pub struct LimitQuery {
+    /// Maximum number of records per page; 100 by default.
+    #[param(minimum = 1, maximum = 1000, default = 100)]
+    limit: Option<u64>,
 }
 
 #[derive(IntoParams)]
@@ -141,7 +147,7 @@ fn with_link(mut response: Response, list: &str, uri: &Uri, page: &Page) -> Resp
 /// tab or a line break) is prefixed with a single quote.
 #[utoipa::path(
     get, path = "/events", operation_id = "list_events", tag = "journal",
-    params(RecordsQuery, EventsQuery),
+    params(RecordsQuery, LimitQuery, EventsQuery),
     responses((status = 200, description = "A page of events", body = EventPage, headers(
         ("Link" = String, description = "Address of the next page, with `rel=\"next\"`; absent on the last page"),
     )), JournalProblem)
@@ -160,7 +166,7 @@ pub async fn events(
 /// `@`, a tab or a line break) is prefixed with a single quote.
 #[utoipa::path(
     get, path = "/events.csv", operation_id = "list_events_csv", tag = "journal",
-    params(RecordsQuery, EventsQuery),
+    params(RecordsQuery, LimitQuery, EventsQuery),
     responses((status = 200, description = "A page of events", body = String, content_type = "text/csv", headers(
         ("Next-Cursor" = String, description = "Cursor of the next page; absent if the list's `next_cursor` is null"),
         ("Journal-Id" = String, description = "Id of the journal"),
@@ -179,7 +185,7 @@ pub async fn events_csv(Shared(context): Shared<Arc<HttpContext>>, uri: Uri) -> 
 /// break) is prefixed with a single quote.
 #[utoipa::path(
     get, path = "/grips", operation_id = "list_grips", tag = "journal",
-    params(RecordsQuery, GripsQuery),
+    params(RecordsQuery, LimitQuery, GripsQuery),
     responses((status = 200, description = "A page of grip records", body = GripPage, headers(
         ("Link" = String, description = "Address of the next page, with `rel=\"next\"`; absent on the last page"),
     )), JournalProblem)
@@ -198,7 +204,7 @@ pub async fn grips(
 /// `-`, `@`, a tab or a line break) is prefixed with a single quote.
 #[utoipa::path(
     get, path = "/grips.csv", operation_id = "list_grips_csv", tag = "journal",
-    params(RecordsQuery, GripsQuery),
+    params(RecordsQuery, LimitQuery, GripsQuery),
     responses((status = 200, description = "A page of grip records", body = String, content_type = "text/csv", headers(
         ("Next-Cursor" = String, description = "Cursor of the next page; absent if the list's `next_cursor` is null"),
         ("Journal-Id" = String, description = "Id of the journal"),

@@ -16,6 +16,7 @@ mod socket;
 mod writer;
 
 pub use bodies::{Subscribe, Subscribed};
+pub use rpc::MAX_ID_BYTES;
 pub use socket::{Connection, serve};
 
 pub const SUBPROTOCOL: &str = "wsg.v1";

@@ -12,7 +12,7 @@ use crate::operations::{Code, OPERATIONS, Problem, is_fast_stop};
 pub const MAX_BATCH: usize = 32;
 
 /// Maximum length of a request's id, in bytes.
-const MAX_ID_BYTES: usize = 64;
+pub const MAX_ID_BYTES: usize = 64;
 
 const VERSION: &str = "2.0";
 

@@ -2,7 +2,7 @@
 
 use super::parameters::{GripperPath, LeaseHeader};
 use super::paths;
-use super::responses::{AnyProblem, DeviceProblem, GripperProblem};
+use super::responses::{DeviceProblem, FastStopProblem, FastStopsProblem};
 use crate::operations::fast_stop::{self, Acknowledge, Acknowledged, AllFastStopAnswer, FastStopAnswer, FastStopBody};
 
 paths! {
@@ -16,7 +16,7 @@ paths! {
         post, path = "/grippers/{gripper}/fast-stop", operation_id = "fast_stop", tag = "fast stop",
         params(GripperPath),
         request_body = Option<FastStopBody>,
-        responses((status = 200, description = "The FAST STOP is latched", body = FastStopAnswer), GripperProblem)
+        responses((status = 200, description = "The FAST STOP is latched", body = FastStopAnswer), FastStopProblem)
     )]
     one => fast_stop::ONE;
     /// FAST STOP all grippers
@@ -26,7 +26,7 @@ paths! {
     #[utoipa::path(
         post, path = "/fast-stop", operation_id = "fast_stop_all", tag = "fast stop",
         request_body = Option<FastStopBody>,
-        responses((status = 200, description = "All grippers are latched", body = AllFastStopAnswer), AnyProblem)
+        responses((status = 200, description = "All grippers are latched", body = AllFastStopAnswer), FastStopsProblem)
     )]
     all => fast_stop::ALL;
 }

@@ -1,7 +1,7 @@
 //! Paths of the fleet: the grippers of all gateways.
 
 use super::paths;
-use super::responses::{AnyProblem, CommandProblem, CopyProblem};
+use super::responses::{AnyProblem, CommandProblem, CopyProblem, FastStopsProblem};
 use crate::operations::copy_recipes::{self, CopyRecipes, RecipesCopied};
 use crate::operations::fast_stop::FastStopBody;
 use crate::operations::fleet::{self, FleetAcknowledge, FleetAcknowledged, FleetFastStopAnswer, FleetList};
@@ -31,7 +31,7 @@ paths! {
     #[utoipa::path(
         post, path = "/fleet/fast-stop", operation_id = "fleet_fast_stop", tag = "fleet",
         request_body = Option<FastStopBody>,
-        responses((status = 200, description = "The FAST STOP was sent to the fleet", body = FleetFastStopAnswer), AnyProblem)
+        responses((status = 200, description = "The FAST STOP was sent to the fleet", body = FleetFastStopAnswer), FastStopsProblem)
     )]
     fast_stop => fleet::FAST_STOP;
 }

@@ -41,8 +41,8 @@ const PROBLEMS: &[(&str, &str, &str)] = &[
     (
         "429",
         "Overloaded",
-        "`overloaded`: too many requests wait for this gripper, too many WebSockets are open, or the device tag was \
-         written less than a second ago. Try again later",
+        "`overloaded`: too many requests are in progress or wait for this gripper, too many WebSockets are open, or the \
+         device tag was written less than a second ago. Try again later",
     ),
     ("500", "Internal", "`internal`: internal error; see the gateway's log"),
     ("502", "DeviceProtocol", "`device_protocol`: the device's reply is invalid"),
@@ -78,12 +78,16 @@ macro_rules! sets {
 }
 
 sets! {
-    /// Problems of every operation.
-    AnyProblem ["400" "401" "403" "500"];
+    /// Problems of a FAST STOP of one gripper, which is never refused in favour of others.
+    FastStopProblem ["400" "401" "403" "404" "422" "500"];
+    /// Problems of a FAST STOP of several grippers.
+    FastStopsProblem ["400" "401" "403" "500"];
+    /// Problems of every other operation.
+    AnyProblem ["400" "401" "403" "429" "500"];
     /// Problems of operations that read the gateway's own knowledge of a gripper.
-    GripperProblem ["400" "401" "403" "404" "422" "500"];
+    GripperProblem ["400" "401" "403" "404" "422" "429" "500"];
     /// Problems of operations that change the gateway's own knowledge of a gripper.
-    KnowledgeProblem ["400" "401" "403" "404" "408" "413" "422" "500" "503"];
+    KnowledgeProblem ["400" "401" "403" "404" "408" "413" "422" "429" "500" "503"];
     /// Problems of operations that ask a gripper's actor about its commands.
     CommandProblem ["400" "401" "403" "404" "408" "413" "422" "429" "500" "503"];
     /// Problems of operations that request the lease.
@@ -93,15 +97,15 @@ sets! {
     /// Problems of reading the configuration again.
     ReloadProblem ["400" "401" "403" "408" "409" "413" "429" "500"];
     /// Problems of signing in and out.
-    SessionProblem ["400" "401" "403" "404" "408" "413" "422" "500"];
+    SessionProblem ["400" "401" "403" "404" "408" "413" "422" "429" "500"];
     /// Problems of changing recipes.
-    RecipeProblem ["400" "401" "403" "404" "408" "409" "412" "413" "422" "500" "503"];
+    RecipeProblem ["400" "401" "403" "404" "408" "409" "412" "413" "422" "429" "500" "503"];
     /// Problems of copying recipes to another gateway.
     CopyProblem ["400" "401" "403" "404" "408" "409" "412" "413" "422" "429" "500" "502" "503" "504"];
     /// Problems of opening a WebSocket.
     SocketProblem ["400" "401" "403" "429" "500"];
     /// Problems of reading the journal.
-    JournalProblem ["400" "401" "403" "404" "422" "500" "503"];
+    JournalProblem ["400" "401" "403" "404" "422" "429" "500" "503"];
     /// Problems of operations that send requests to the device.
     DeviceProblem ["400" "401" "403" "404" "408" "409" "413" "422" "429" "500" "502" "503" "504"];
     /// Problems of motions that can follow a recipe.
