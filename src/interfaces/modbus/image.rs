@@ -95,10 +95,11 @@ pub(super) struct Image {
 impl Ended {
     const OK: Self = Self { is_ok: true, outcome: None, problem: None, status: 0 };
 
-    /// The end of a command that was refused, or that failed without a motion.
+    /// The end of a command that was refused, or whose effect is unknown because the device did not reply.
     pub(super) fn refused(problem: Code) -> Self {
         let status = match problem {
             Code::Malformed | Code::OutOfRange | Code::NotFound => Status::E_RANGE_ERROR,
+            Code::DeviceTimeout => Status::E_TIMEOUT,
             _ => Status::E_ACCESS_DENIED,
         };
         Self { is_ok: false, outcome: None, problem: Some(problem), status: status.code() }
@@ -122,10 +123,15 @@ impl Ended {
     }
 
     fn with(outcome: Outcome, problem: Option<Code>, status_code: Option<u16>) -> Self {
-        let is_ok = outcome.is_ok();
-        // A command without a status was not sent.
-        let unsent = if is_ok { 0 } else { Status::E_ACCESS_DENIED.code() };
-        Self { is_ok, outcome: Some(outcome), problem, status: status_code.unwrap_or(unsent) }
+        let without_status = match outcome {
+            _ if outcome.is_ok() => Status::E_SUCCESS,
+            Outcome::Refused => Status::E_ACCESS_DENIED,
+            Outcome::Aborted => Status::E_CMD_ABORTED,
+            // A status of refused commands would say that nothing moved.
+            _ => Status::E_TIMEOUT,
+        };
+        let status = status_code.unwrap_or(without_status.code());
+        Self { is_ok: outcome.is_ok(), outcome: Some(outcome), problem, status }
     }
 }
 
@@ -402,6 +408,17 @@ mod tests {
         assert_eq!(image.alive_at(), Some(last));
         image.write(last, HEARTBEAT, &[0]).unwrap();
         assert_eq!(image.alive_at(), None);
+    }
+
+    #[test]
+    fn command_that_may_have_moved_has_no_status_of_a_refused_one() {
+        let status = |outcome| Ended::with(outcome, None, None).status;
+        assert_eq!(status(Outcome::Success), Status::E_SUCCESS.code());
+        assert_eq!(status(Outcome::Refused), Status::E_ACCESS_DENIED.code());
+        assert_eq!(status(Outcome::Aborted), Status::E_CMD_ABORTED.code());
+        assert_eq!(status(Outcome::Unknown), Status::E_TIMEOUT.code());
+        assert_eq!(Ended::refused(Code::DeviceTimeout).status, Status::E_TIMEOUT.code());
+        assert_eq!(Ended::refused(Code::LinkDown).status, Status::E_ACCESS_DENIED.code());
     }
 
     #[test]
