@@ -18,7 +18,7 @@ use super::body;
 use super::context::{API, HttpContext};
 use super::fast_stop::{REASON_TIME, with_reason};
 use super::operation::{RequestBody, serve_below};
-use super::problem::PROBLEM_JSON;
+use super::problem::{PROBLEM_JSON, RETRY_AFTER_S};
 use super::visitor::Identified;
 use crate::access::Credential;
 use crate::fleet::{PeerRequest, TOKEN};
@@ -239,8 +239,12 @@ fn answered(gateway: &Name, operation: &Operation, answer: &RawValue) -> Respons
 fn refused(status: u16, problem: &RawValue) -> Response {
     let status =
         StatusCode::from_u16(status).ok().filter(|status| status.is_client_error() || status.is_server_error());
-    let headers = [(header::CONTENT_TYPE, PROBLEM_JSON)];
-    (status.unwrap_or(StatusCode::BAD_GATEWAY), headers, problem.get().to_owned()).into_response()
+    let status = status.unwrap_or(StatusCode::BAD_GATEWAY);
+    let mut response = (status, [(header::CONTENT_TYPE, PROBLEM_JSON)], problem.get().to_owned()).into_response();
+    if status == StatusCode::TOO_MANY_REQUESTS {
+        response.headers_mut().insert(header::RETRY_AFTER, RETRY_AFTER_S);
+    }
+    response
 }
 
 #[cfg(test)]
@@ -256,6 +260,16 @@ mod tests {
             let response = answered(&"other".parse().unwrap(), operation, &running);
             assert_eq!(response.status(), status, "{}", operation.name);
             assert_eq!(response.headers().contains_key(header::LOCATION), status == 202, "{}", operation.name);
+        }
+    }
+
+    #[test]
+    fn forwarded_overload_says_when_to_try_again() {
+        let problem = RawValue::from_string("{}".to_owned()).unwrap();
+        for (status, expected) in [(429, 429), (409, 409), (200, 502)] {
+            let response = refused(status, &problem);
+            assert_eq!(response.status(), expected);
+            assert_eq!(response.headers().contains_key(header::RETRY_AFTER), status == 429, "{status}");
         }
     }
 

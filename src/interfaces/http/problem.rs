@@ -9,7 +9,7 @@ use crate::operations::{Code, Problem};
 pub const PROBLEM_JSON: &str = "application/problem+json";
 
 /// Retry-After of an overload. The actor empties a full queue within milliseconds; this is the header's shortest time.
-const RETRY_AFTER_S: HeaderValue = HeaderValue::from_static("1");
+pub const RETRY_AFTER_S: HeaderValue = HeaderValue::from_static("1");
 
 /// Challenge to a client without a valid credential (RFC 6750, 3).
 const BEARER: HeaderValue = HeaderValue::from_static("Bearer realm=\"wsg-gateway\"");
