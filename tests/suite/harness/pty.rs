@@ -25,7 +25,7 @@ const RUNS: usize = 5;
 const IN_TIME: usize = 200;
 
 /// Longest wait for these bytes. After this time, the next run begins in any case.
-const CALM_WITHIN: Duration = Duration::from_secs(60);
+const CALM_WITHIN: Duration = Duration::from_mins(1);
 
 /// Runs a test. If it fails while bytes of another pty are late, waits until they are in time (see `calm`), and runs it
 /// again. Each run has a runtime of its own.
