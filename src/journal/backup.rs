@@ -9,6 +9,7 @@ use std::time::Duration;
 use rusqlite::backup::{Backup, StepResult};
 use rusqlite::{Connection, OpenFlags};
 
+use super::identity;
 use super::reader::Reader;
 use super::source::ReadError;
 
@@ -80,6 +81,7 @@ fn copy(journal: &Connection, to: &Path, progress: &mut impl FnMut(u64, u64)) ->
         }
     }
     drop(backup);
+    identity::forget(&file)?;
     // The copy is one file, without a write-ahead log.
     file.pragma_update_and_check(None, "journal_mode", "DELETE", |_| Ok(()))
 }

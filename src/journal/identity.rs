@@ -27,6 +27,12 @@ fn read(connection: &Connection) -> rusqlite::Result<Option<Uuid>> {
     Ok(intact.and_then(|(value, _)| value.parse().ok()))
 }
 
+/// Removes the id from a copy of a journal. If the copy is used, it continues with other records than the original, so it
+/// is another journal.
+pub(super) fn forget(copy: &Connection) -> rusqlite::Result<()> {
+    copy.execute("DELETE FROM memory WHERE gripper = ? AND key = ?", [NO_GRIPPER, KEY]).map(drop)
+}
+
 fn write(connection: &Connection, id: Uuid) -> rusqlite::Result<()> {
     if read(connection)? == Some(id) {
         return Ok(());

@@ -17,6 +17,22 @@ async fn journal_id_lasts_as_long_as_the_file() {
 }
 
 #[tokio::test]
+async fn restored_backup_is_another_journal() {
+    let directory = Directory::new();
+    let journal = directory.open().0;
+    keep(&journal, started(1)).await;
+    let id = journal.id();
+    let copy = directory.0.join("copy.db");
+    back_up(&directory.journal(), &copy, |_, _| {}).unwrap();
+    journal.close().await.unwrap();
+    drop(journal);
+    assert_eq!(directory.open().0.id(), id, "the original keeps its id");
+    assert_eq!(verify(&copy).unwrap().findings, []);
+    std::fs::rename(&copy, directory.journal()).unwrap();
+    assert_ne!(directory.open().0.id(), id);
+}
+
+#[tokio::test]
 async fn journal_of_an_earlier_version_gets_an_id() {
     let directory = Directory::new();
     let journal = directory.open().0;
