@@ -12,6 +12,7 @@ pub(super) fn check(installation: &Installation) -> Vec<Diagnosis> {
     }
     let config = &installation.config;
     let mut findings = vec![tcp("--listen", config.listen)];
+    findings.extend(config.modbus.iter().map(|modbus| tcp("Modbus", modbus.address)));
     for gripper in &config.grippers {
         let what = format!("WSG port of {}", gripper.name);
         findings.extend(gripper.wsg_port.addresses.iter().map(|(address, _)| match *address {

@@ -106,6 +106,8 @@ async fn taken_port_is_named() {
     let address = taken.local_addr().unwrap().to_string();
     let flags = Flags { listen: Some(address.clone()), ..place.flags("sim://wsg50") };
     assert_problem(&flags, "ports", &[&address, "stop the program that listens there"]).await;
+    let flags = Flags { modbus: Some(address.clone()), ..place.flags("sim://wsg50") };
+    assert_problem(&flags, "ports", &[&address, "(Modbus)", "stop the program that listens there"]).await;
 }
 
 #[tokio::test]
