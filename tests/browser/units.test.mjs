@@ -14,6 +14,7 @@ const { Samples } = await core('ring');
 const { asTyped, forceLimits, mistake, number, readings, speedLimits, typedFrom, widthLimits } = await core('limits');
 const { acknowledged, noGateway, sorted } = await core('alarms');
 const { FLAGS, has } = await core('flags');
+const { connectionAfter, STALE_AFTER_MS } = await core('connection');
 const { decimals } = await core('decimals');
 const { delay } = await core('backoff');
 const { bytesOf, cut } = await core('bytes');
@@ -218,6 +219,16 @@ test('limits combine device limits and soft limits', () => {
   const found = [4.9, 5, 420, 420.1, NaN].map((value) => mistake(value, speeds));
   assert.deepEqual(found, ['low', null, null, 'high', 'missing']);
   assert.deepEqual(['1,5', ' 2.5 ', '', '1e3', '0x10', '-3', '1.2.3'].map(number), [1.5, 2.5, NaN, NaN, NaN, -3, NaN]);
+});
+
+test('only a message makes a connection live', () => {
+  for (const before of ['connecting', 'live', 'silent', 'lost']) {
+    assert.equal(connectionAfter(before, true, STALE_AFTER_MS), 'live');
+  }
+  const stale = (isOpen) =>
+    ['connecting', 'live', 'silent', 'lost'].map((before) => connectionAfter(before, isOpen, Infinity));
+  assert.deepEqual(stale(true), ['connecting', 'silent', 'silent', 'lost']);
+  assert.deepEqual(stale(false), ['connecting', 'lost', 'lost', 'lost']);
 });
 
 test('a lost gateway is an alarm until it is back and acknowledged', () => {

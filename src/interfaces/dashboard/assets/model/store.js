@@ -1,6 +1,7 @@
 // The page's state, fed by one WebSocket. Messages apply at once; the screen is updated less than ten times a second.
 
 import { batch, computed, effect, signal } from '../lib.js';
+import { connectionAfter } from '../core/connection.js';
 import { paced } from '../core/paced.js';
 import { Rpc } from '../net/rpc.js';
 import { noteGateway, takeAlarms } from './alarms.js';
@@ -18,8 +19,7 @@ const MAX_HZ_TOGETHER = 40;
 /** Interval of screen updates: faster ones cannot be read, and cost processor time. */
 const SHOWN_EVERY_MS = 120;
 
-/** Silence after which the shown values count as old; the page must say so within 2 s. Polls keep it shorter. */
-const STALE_AFTER_MS = 1200;
+/** Interval of polls, which keep a silence shorter than `STALE_AFTER_MS`. */
 const ASKED_EVERY_MS = 500;
 const LOOKED_EVERY_MS = 200;
 
@@ -40,7 +40,7 @@ export const VIEWS = ['operate', 'history', 'log', 'device', 'all'];
 export const grippers = signal([]);
 export const selected = signal(null);
 export const view = signal('operate');
-/** `connecting` at first, then `live`, `silent` or `lost`. */
+/** See `connectionAfter`. */
 export const connection = signal('connecting');
 /** Wall-clock time of the newest message. */
 export const heardAt = signal(null);
@@ -200,19 +200,11 @@ export async function learnSettings(one, names = ['soft-limits', 'force-limit'])
   return answers.find(({ status }) => status === 'rejected')?.reason ?? null;
 }
 
-/** Returns the connection's state. An open connection on which no message has arrived changes nothing. */
-function connectionAfter(silence) {
-  const before = connection.peek();
-  if (rpc.isOpen && silence <= STALE_AFTER_MS) return 'live';
-  if (before === 'connecting') return 'connecting';
-  return rpc.isOpen && before !== 'lost' ? 'silent' : 'lost';
-}
-
 /** Updates the connection state and the clock. */
 function look() {
   const at = performance.now();
   const silence = at - lastHeard;
-  const next = connectionAfter(silence);
+  const next = connectionAfter(connection.peek(), rpc.isOpen, silence);
   silentLooks = next === 'silent' ? silentLooks + 1 : 0;
   batch(() => {
     if (next !== connection.peek()) {
