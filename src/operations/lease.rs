@@ -43,9 +43,9 @@ async fn get(call: Call) -> LeaseResult {
 #[serde(deny_unknown_fields)]
 #[schema(example = json!({"holder": "robot-1", "ttl_ms": 3000}))]
 pub struct Take {
-    /// Name of the holder; by default the name of the client's credential, or else its address. At most 32 bytes in
-    /// UTF-8: printable ASCII, or letters, marks and digits of one script, composed (NFC). Invisible and look-alike
-    /// characters are refused.
+    /// Name of the holder; by default the name of the client's credential, or else the client's address. At most 32
+    /// bytes in UTF-8: printable ASCII, or letters, marks and digits of one script, composed (NFC). Invisible and
+    /// look-alike characters are refused.
     #[schema(max_length = 32, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     holder: Option<String>,
     /// Time until the lease expires without use, in ms; 3000 by default.

@@ -211,7 +211,7 @@ fn params(openapi: &Value, rows: &[&Method]) -> Value {
     }
     for method in rows {
         let operation = operation_of(openapi, method);
-        // A DELETE over HTTP has no body, so it has the lease in the header.
+        // Over HTTP, an operation without a body has the lease in a header.
         let has_lease = method.changes_something() && operation["requestBody"].is_null();
         let is_given = |parameter: &&Value| match parameter["in"].as_str() {
             Some("path") => true,

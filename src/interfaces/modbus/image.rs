@@ -95,11 +95,11 @@ pub(super) struct Image {
 impl Ended {
     const OK: Self = Self { is_ok: true, outcome: None, problem: None, status: 0 };
 
-    /// The end of a command that was refused, or whose effect is unknown because the device did not reply.
+    /// The end of a command that was refused, or whose effect may be unknown because no valid reply came.
     pub(super) fn refused(problem: Code) -> Self {
         let status = match problem {
             Code::Malformed | Code::OutOfRange | Code::NotFound => Status::E_RANGE_ERROR,
-            Code::DeviceTimeout => Status::E_TIMEOUT,
+            Code::DeviceTimeout | Code::DeviceProtocol => Status::E_TIMEOUT,
             _ => Status::E_ACCESS_DENIED,
         };
         Self { is_ok: false, outcome: None, problem: Some(problem), status: status.code() }

@@ -24,9 +24,9 @@ paths! {
     /// with it keeps the lease alive. A holder that stays silent for `ttl_ms` counts as lost; `on_loss_moving` and
     /// `on_loss_holding` say what the gripper does then.
     ///
-    /// A client that has lost its token gets its lease back with the same `holder` and the same credential or address. This is
-    /// refused until the lease has not been used for half its time to live, while a motion runs, while a part is held
-    /// and `on_loss_holding` is `fast_stop`, and while a request or connection of the holder is open.
+    /// A client that has lost its token gets its lease back with the same `holder` and the same credential or address.
+    /// This is refused until the lease has not been used for half its time to live, while a motion runs, while a part
+    /// is held and `on_loss_holding` is `fast_stop`, and while a request or connection of the holder is open.
     #[utoipa::path(
         post, path = "/grippers/{gripper}/lease", operation_id = "take_lease", tag = "lease",
         params(GripperPath, LeaseHeader),

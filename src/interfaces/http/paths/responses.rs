@@ -82,7 +82,7 @@ sets! {
     FastStopProblem ["400" "401" "403" "404" "422" "500"];
     /// Problems of a FAST STOP of several grippers.
     FastStopsProblem ["400" "401" "403" "500"];
-    /// Problems of every other operation.
+    /// Problems that every other operation can have.
     AnyProblem ["400" "401" "403" "429" "500"];
     /// Problems of operations that read the gateway's own knowledge of a gripper.
     GripperProblem ["400" "401" "403" "404" "422" "429" "500"];
