@@ -213,17 +213,14 @@ fn params(openapi: &Value, rows: &[&Method]) -> Value {
         let operation = operation_of(openapi, method);
         // Over HTTP, an operation without a body has the lease in a header.
         let has_lease = method.changes_something() && operation["requestBody"].is_null();
-        let is_given = |parameter: &&Value| match parameter["in"].as_str() {
-            Some("path") => true,
-            Some("query") => method.query.iter().any(|name| parameter["name"] == *name),
-            _ => false,
-        };
-        let parameters = || operation["parameters"].as_array().into_iter().flatten();
-        for lease in parameters().filter(|parameter| has_lease && parameter["name"] == "Wsg-Lease") {
-            params["properties"]["lease"] = lease["schema"].clone();
-        }
-        for parameter in parameters().filter(is_given) {
+        for parameter in operation["parameters"].as_array().into_iter().flatten() {
             let name = word(parameter["name"].clone());
+            let name = match parameter["in"].as_str() {
+                Some("path") => name,
+                Some("query") if method.query.contains(&name.as_str()) => name,
+                Some("header") if has_lease && name == "Wsg-Lease" => "lease".to_owned(),
+                _ => continue,
+            };
             params["properties"][&name] = parameter["schema"].clone();
             // A parameter that one of the operations lacks is optional.
             if rows.iter().all(|row| row.path_parameters().any(|key| key == name)) {
