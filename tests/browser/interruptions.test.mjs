@@ -296,6 +296,33 @@ test('a new connection without messages is still lost', async () => {
   assert.ok(await shows('.alarm:has-text("cleared")'));
 });
 
+test('a short silence loses nothing that a person has typed or opened', async () => {
+  const served = await gateway();
+  const { page } = await visit(launched, served, { path: '/#/left/history' });
+  let isSilent = false;
+  await filtered(page, { toPage: () => !isSilent });
+  await page.reload();
+  const silence = async () => {
+    isSilent = true;
+    await page.waitForSelector('.covered');
+    isSilent = false;
+    await page.waitForSelector('.covered', { state: 'detached' });
+  };
+  await served.ask('POST', 'grippers/left/home');
+  await served.ask('POST', 'grippers/left/grip', { width_mm: 20, speed_mm_s: 300, part_id: 'lot-1' });
+  await page.waitForSelector('tbody tr:has-text("lot-1")');
+  await page.click('#evaluate');
+  await page.click('.numbers button:has-text("lot-1")');
+  await page.waitForSelector('.part-report');
+  await silence();
+  assert.equal(await page.locator('.numbers').count(), 1);
+  assert.equal(await page.locator('.part-report').count(), 1);
+  await page.click('[data-view=device]');
+  await page.fill('#force-limit-force_n', '44');
+  await silence();
+  assert.equal(await page.inputValue('#force-limit-force_n'), '44');
+});
+
 test('a command lost with the gateway is not shown as running', async () => {
   const first = await gateway();
   const { page, allowed } = await visit(launched, first);

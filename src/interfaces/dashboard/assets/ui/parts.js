@@ -1,6 +1,6 @@
 // Small parts of the panels.
 
-import { Fragment, html } from '../lib.js';
+import { html } from '../lib.js';
 import { cut } from '../core/bytes.js';
 import { fixed, ofProblem, span, t, time } from '../model/i18n.js';
 import { connection, heardAt, now } from '../model/store.js';
@@ -41,17 +41,23 @@ export function whyOld(one) {
   return null;
 }
 
-/** Covers old values and shows their age, so that an old value never looks live. */
+/**
+ * Covers old values and shows their age, so that an old value never looks live. The elements stay, with what a person
+ * has typed or opened in them.
+ */
 export function Covered({ one, children }) {
   const old = whyOld(one);
-  if (!old) return html`<${Fragment}>${children}</${Fragment}>`;
-  return html`<div class="covered">
-    <div class="covered-content" inert aria-hidden="true">${children}</div>
-    <div class="cover">
+  return html`<div class=${old ? 'covered' : 'uncovered'}>
+    <div class=${old ? 'covered-content' : 'uncovered'} inert=${old !== null}
+        aria-hidden=${old ? 'true' : undefined}>${children}</div>
+    ${
+      old &&
+      html`<div class="cover">
       <p><${Shape} name="high" /> <strong>${old.text}</strong></p>
       ${old.since && html`<p>${t('stale.since', { time: time(old.since), span: span(now.value - old.since) })}</p>`}
       ${old.detail && html`<p class="muted" lang="en">${old.detail}</p>`}
-    </div>
+    </div>`
+    }
   </div>`;
 }
 

@@ -121,6 +121,8 @@ export function History({ one }) {
   }, [eventSeq.value, address]);
   useEffect(() => {
     numbers.value = null;
+  }, [address]);
+  useEffect(() => {
     load();
   }, [address, isLive.value]);
   const choose = (name) => {
