@@ -48,6 +48,16 @@ test('records are filtered by time, and shown for all grippers', async () => {
   assertClean(visitor);
 });
 
+test('a held part is listed, although no event follows its record', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served, { path: '/#/left/history' });
+  const { page } = visitor;
+  await post(served, 'left/home');
+  await post(served, 'left/grip', { width_mm: 20, speed_mm_s: 300, part_id: 'lot-1' });
+  await page.waitForSelector('tbody tr:has-text("lot-1")');
+  assertClean(visitor);
+});
+
 test('parts are searched by the beginning of their ids', async () => {
   const served = await worked();
   const visitor = await visit(launched, served, { path: '/#/left/history' });

@@ -5,7 +5,7 @@ import { isGrip } from '../core/kinds.js';
 import { takeControl } from './commands.js';
 import { myName } from './name.js';
 import { takeRecipeChange } from './recipes.js';
-import { eventSeq, learn, learnSettings, others, rpc } from './store.js';
+import { journalChanges, learn, learnSettings, others, rpc } from './store.js';
 
 /** Limit of the clients in `others`. */
 const MAX_OTHERS = 32;
@@ -85,7 +85,7 @@ async function catchUpCommand(one) {
 /** Applies an event that arrived at `at`; `one` is its gripper, if any. */
 export function takeEvent(event, one, at) {
   batch(() => {
-    eventSeq.value = event.seq;
+    journalChanges.value += 1;
     if (event.subject) remember(event);
     if (event.kind === 'recipe') takeRecipeChange();
     if (!one) return;

@@ -49,8 +49,8 @@ export const now = signal(Date.now());
 /** Grippers of all gateways; null until they are known. */
 export const fleet = signal(null);
 export const hasOthers = computed(() => new Set(fleet.value?.map(({ gateway }) => gateway)).size > 1);
-/** Number of the newest event. The history reloads when it changes. */
-export const eventSeq = signal(0);
+/** Number of changes of the journal. The history reloads after each. */
+export const journalChanges = signal(0);
 /**
  * Recently active clients: `{subject, label, door, at}` by subject and label. Not a signal, because busy cells would
  * change it all the time.
@@ -137,6 +137,8 @@ export const rpc = new Rpc({
     if (method === 'state') takeState(params, at);
     if (method === 'alarms') takeAlarms(params);
     if (method === 'event') takeEvent(params, find(params.gripper), at);
+    // Its record is complete about a second after a motion's last event.
+    if (method === 'grip') journalChanges.value += 1;
     if (method === 'command' && find(params.gripper)) find(params.gripper).command.value = params;
     // Events were missed, so the current state is requested.
     if (method === 'gap') subscribe();
@@ -152,20 +154,20 @@ const hz = computed(() => {
 /** Rate requested on this connection. */
 const askedHz = signal(null);
 
-const askFor = (max_hz) => rpc.call('subscribe', { topics: ['state', 'events', 'alarms'], max_hz });
+const askFor = (max_hz) => rpc.call('subscribe', { topics: ['state', 'events', 'grips', 'alarms'], max_hz });
 
 async function subscribe() {
   try {
     const begun = rpc.begun();
     askedHz.value = begun?.params.max_hz ?? hz.peek();
-    const { states, event_seq: seq } = await (begun?.answer ?? askFor(askedHz.peek()));
+    const { states } = await (begun?.answer ?? askFor(askedHz.peek()));
     // The rate depends on the number of grippers, so it is computed once.
     batch(() => {
       states.forEach((state) => takeState(state, begun?.at));
       keepOnly(states.map((state) => state.gripper));
     });
     show();
-    eventSeq.value = seq;
+    journalChanges.value += 1;
     look();
     // Starts from these states; events report what comes after them.
     grippers.peek().forEach((one) => catchUp(one).catch(() => {}));
@@ -230,10 +232,7 @@ effect(() => {
   if (askedHz.value === null || askedHz.value === hz.value || !rpc.isOpen) return;
   askedHz.value = hz.value;
   askFor(hz.value).then(
-    ({ states, event_seq: seq }) => {
-      states.forEach((state) => takeState(state));
-      eventSeq.value = Math.max(eventSeq.peek(), seq);
-    },
+    ({ states }) => states.forEach((state) => takeState(state)),
     () => {},
   );
 });

@@ -17,7 +17,7 @@
     jsonrpc: '2.0',
     id: 0,
     method: 'subscribe',
-    params: { topics: ['state', 'events', 'alarms'], max_hz: document.hidden ? 1 : 20 },
+    params: { topics: ['state', 'events', 'grips', 'alarms'], max_hz: document.hidden ? 1 : 20 },
   };
   /** Messages with their times. If the page does not take them, the connection is closed at the limit. */
   const heard = [];

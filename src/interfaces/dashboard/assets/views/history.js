@@ -5,7 +5,7 @@ import { numbered } from '../core/newest.js';
 import { fullDate, t } from '../model/i18n.js';
 import { download } from './export.js';
 import { get, query } from '../net/rest.js';
-import { eventSeq, grippers, isLive } from '../model/store.js';
+import { grippers, isLive, journalChanges } from '../model/store.js';
 import { Curve, MAX_CURVES } from './curve.js';
 import { evaluate, Numbers } from './numbers.js';
 import { PartReport } from './part.js';
@@ -15,7 +15,7 @@ import { Choice, Covered, MAX_PART_BYTES, Panel, ProblemNote, within } from '../
 const PAGE = 50;
 /** On a phone, the filters are folded, so that the records are in view. */
 const IS_WIDE = matchMedia('(min-width: 761px)').matches;
-/** Delay of a reload after an event, because events come in bursts. */
+/** Delay of a reload after a change of the journal, because changes come in bursts. */
 const LOOKS_AFTER_MS = 400;
 const KINDS = {
   events: [
@@ -118,7 +118,7 @@ export function History({ one }) {
     if (!isLive.peek() || list.peek().length > PAGE) return undefined;
     const timer = setTimeout(load, LOOKS_AFTER_MS);
     return () => clearTimeout(timer);
-  }, [eventSeq.value, address]);
+  }, [journalChanges.value, address]);
   useEffect(() => {
     numbers.value = null;
   }, [address]);
