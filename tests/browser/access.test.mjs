@@ -3,7 +3,7 @@
 import assert from 'node:assert/strict';
 import { test } from 'node:test';
 
-import { assertClean, browser, controlled, gateway, homed, shoot, until, visit } from './harness.mjs';
+import { assertClean, browser, controlled, gateway, homed, shoot, stopped, until, visit } from './harness.mjs';
 
 const launched = await browser();
 
@@ -99,8 +99,7 @@ test('every control of a view has its own name', async () => {
     if (view === 'history') await page.waitForSelector('tbody tr:nth-child(2)');
     assert.deepEqual(await sharedNames(page), [], view);
   }
-  await page.click('#stop');
-  await page.waitForSelector('.stopped');
+  await stopped(page);
   await page.click('[data-view=operate]');
   await page.waitForSelector('.alarm:nth-child(2)');
   assert.deepEqual(await sharedNames(page), [], 'stopped');

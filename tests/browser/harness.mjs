@@ -174,9 +174,18 @@ export async function slowReads({ url }) {
   return { url: `http://127.0.0.1:${proxy.address().port}`, held: () => waiting.size };
 }
 
+/** Prints what the pages of a failed test show. */
+async function explain(launched) {
+  for (const page of launched.contexts().flatMap((context) => context.pages())) {
+    const text = await page.innerText('body', { timeout: 2000 }).catch(String);
+    console.log(`${page.url()} shows: ${text.replace(/\n+/g, ' | ')}`);
+  }
+}
+
 /** Launches the browser for all tests of a file. All that a test starts ends with the test. */
 export async function browser() {
   const launched = await chromium.launch({ executablePath: CHROMIUM, args: FLAGS, chromiumSandbox: false });
+  afterEach(({ passed }) => passed || explain(launched));
   afterEach(endAll);
   after(() => launched.close());
   return launched;
@@ -229,6 +238,16 @@ export async function homed(page) {
   await page.click('#home:enabled');
   await page.waitForSelector('.last[data-outcome=SUCCESS]');
   await page.waitForSelector('#move:enabled');
+}
+
+/**
+ * Stops all grippers, and waits until the notice has moved the page: a click is lost if its button moves between press
+ * and release.
+ */
+export async function stopped(page) {
+  await page.click('#stop');
+  await page.waitForSelector('.alarm-badge.tone-critical');
+  await page.waitForSelector('.notices[data-moved]', { state: 'detached' });
 }
 
 /** Asserts no console messages, no exceptions and no requests to other hosts. */

@@ -3,7 +3,7 @@
 import assert from 'node:assert/strict';
 import { test } from 'node:test';
 
-import { assertClean, browser, controlled, gateway, homed, shoot, until, visit } from './harness.mjs';
+import { assertClean, browser, controlled, gateway, homed, shoot, stopped, until, visit } from './harness.mjs';
 
 const launched = await browser();
 
@@ -159,7 +159,7 @@ for (const [size, shape] of Object.entries({ narrow: { width: 320, height: 568 }
       await page.waitForSelector('main h2');
       assert.deepEqual(await cut(), [], view);
     }
-    await page.click('#stop');
+    await stopped(page);
     await page.click('[data-view=operate]');
     await page.waitForSelector('#acknowledge:enabled');
     assert.deepEqual(await cut(), [], 'stopped');

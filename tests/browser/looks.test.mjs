@@ -17,6 +17,7 @@ import {
   shoot,
   simulator,
   started,
+  stopped,
   textsOf,
   token,
   visit,
@@ -87,7 +88,7 @@ for (const [size, shape] of Object.entries(SIZES)) {
         await page.emulateMedia({ colorScheme });
         await page.waitForFunction((before) => document.documentElement.dataset.theme === before, colorScheme);
       }
-      await page.click('#stop');
+      await stopped(page);
       await page.click('[data-view=operate]');
       await page.waitForSelector('#acknowledge:enabled');
       await page.evaluate(() => scrollTo(0, 0));
@@ -194,7 +195,7 @@ test('axe finds nothing with forced colours', async () => {
     await shoot(page, `forced-${view}`);
     assert.deepEqual(await violations(page), [], view);
   }
-  await page.click('#stop');
+  await stopped(page);
   await page.click('[data-view=operate]');
   await page.waitForSelector('#acknowledge:enabled');
   assert.deepEqual(await violations(page), [], 'stopped');

@@ -4,7 +4,7 @@ import assert from 'node:assert/strict';
 import { test } from 'node:test';
 
 import { misfits, violations } from './checks.mjs';
-import { assertClean, browser, controlled, gateway, homed, named, shoot, until, visit } from './harness.mjs';
+import { assertClean, browser, controlled, gateway, homed, named, shoot, stopped, until, visit } from './harness.mjs';
 
 const launched = await browser();
 
@@ -114,7 +114,7 @@ test('an error that lasts until the next motion is explained', async () => {
   const visitor = await visit(launched, served);
   const { page } = visitor;
   await homed(page);
-  await page.click('#stop');
+  await stopped(page);
   await page.click('#acknowledge:enabled');
   await page.waitForSelector('.result[data-result=ERROR]:has-text("Error until the next motion")');
   await page.waitForSelector('.result:has-text("the gripper accepts motions")');
