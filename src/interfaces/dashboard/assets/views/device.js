@@ -116,10 +116,11 @@ function Settings({ one }) {
   const tag = useDraft(one, 'tag', (text) => text ?? '');
   const note = useSignal('');
   useEffect(() => {
+    if (!one.isThere.value) return;
     learnSettings(one, ALL_SETTINGS).then((problem) => {
       if (problem) one.problem.value = problem;
     });
-  }, [one, connection.value === 'live']);
+  }, [one, one.isThere.value, connection.value === 'live']);
   const change = async (method, params) => {
     note.value = '';
     const answer = await ask(one, method, params);
@@ -188,7 +189,7 @@ function Statistics({ one }) {
       },
       () => {},
     );
-  }, [one, one.runs.value, one.settingsChange.value, connection.value === 'live']);
+  }, [one, one.runs.value, one.settingsChange.value, one.isThere.value, connection.value === 'live']);
   const figures = known.value;
   const good =
     figures && figures.total > 0 ? ((figures.total - figures.no_part - figures.lost_part) / figures.total) * 100 : null;
