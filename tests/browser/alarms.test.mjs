@@ -3,7 +3,7 @@
 import assert from 'node:assert/strict';
 import { test } from 'node:test';
 
-import { assertClean, browser, gateway, shoot, simulator, until, visit } from './harness.mjs';
+import { assertClean, browser, gateway, shoot, simulator, stopped, until, visit } from './harness.mjs';
 
 const launched = await browser();
 
@@ -39,7 +39,7 @@ test('a FAST STOP after the list was opened is not acknowledged with it', async 
   const visitor = await visit(launched, served);
   const { page } = visitor;
   await page.waitForSelector('#take-control');
-  await page.click('#stop');
+  await stopped(page);
   await page.waitForSelector('.alarm-badge:has-text("2 alarms")');
   await page.click('#choose-alarms');
   await page.waitForSelector('#acknowledge-alarms:enabled');
