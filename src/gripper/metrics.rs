@@ -21,7 +21,7 @@ use super::handle::Handle;
 use super::model::{FastStopCause, Kind, Link, Name, Outcome, State};
 
 /// Largest number of series for one gripper.
-pub const MAX_SERIES: usize = 228;
+pub const MAX_SERIES: usize = 229;
 
 /// Buckets for latencies of replies and FAST STOPs, in seconds: from a local socket to a slow line or a lost link.
 const LATENCIES: [f64; 11] = [0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0];
@@ -166,6 +166,7 @@ pub struct Newest {
     state: watch::Receiver<Arc<State>>,
     link_up: IntGauge,
     latched: IntGauge,
+    unconfirmed: IntGauge,
     leased: IntGauge,
     holder: IntGaugeVec,
     age: Gauge,
@@ -186,6 +187,10 @@ impl Newest {
             state: handle.states(),
             link_up: flag("wsg_link_up", "1 if the link is set up and responds, else 0.")?,
             latched: flag("wsg_fast_stop_latched", "1 if a FAST STOP is latched, else 0.")?,
+            unconfirmed: flag(
+                "wsg_fast_stop_unconfirmed",
+                "1 if a FAST STOP is latched that the device has not confirmed, else 0.",
+            )?,
             leased: flag("wsg_lease_held", "1 if a client holds the lease, else 0.")?,
             holder: IntGaugeVec::new(
                 of.opts("wsg_lease_holder_info", "Always 1; the label names the client that holds the lease."),
@@ -227,8 +232,10 @@ impl Collector for Newest {
         let up = state.link == Link::Connected && self.state.has_changed().is_ok();
         self.link_up.set(up.into());
         self.latched.set(state.latch.is_some().into());
+        self.unconfirmed.set(state.latch.as_ref().is_some_and(|latch| !latch.fast_stop_confirmed).into());
         self.leased.set(state.lease_holder.is_some().into());
-        let mut families = [self.link_up.collect(), self.latched.collect(), self.leased.collect()].concat();
+        let always = [&self.link_up, &self.latched, &self.unconfirmed, &self.leased];
+        let mut families = always.map(Collector::collect).concat();
         if let Some(holder) = &state.lease_holder {
             self.holder.reset();
             self.holder.with_label_values(&[&**holder]).set(1);
@@ -290,6 +297,7 @@ impl Of<'_> {
 #[cfg(test)]
 mod tests {
     use super::super::fake::{self, FakeScript};
+    use super::super::model::{Client, Door, FastStopId, Reason};
     use super::*;
 
     #[tokio::test]
@@ -306,6 +314,20 @@ mod tests {
         drop((metrics, newest));
         assert_eq!(prometheus::TextEncoder::new().encode_to_string(&registry.gather()).unwrap(), "");
         GripperMetrics::register(&registry, handle.name()).unwrap();
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_fast_stop_is_unconfirmed_until_the_device_shows_it() {
+        for (confirms, expected) in [(false, 1), (true, 0)] {
+            let registry = Registry::new();
+            let (handle, _seen) = fake::gripper("left", FakeScript { confirms, ..FakeScript::default() });
+            let _newest = Newest::register(&registry, &handle).unwrap();
+            let client = Client::new("test", Door::Http);
+            handle.fast_stop(FastStopId::generate(), client, Reason::truncated("")).await;
+            let text = prometheus::TextEncoder::new().encode_to_string(&registry.gather()).unwrap();
+            assert!(text.contains("wsg_fast_stop_latched{gripper=\"left\"} 1"), "{text}");
+            assert!(text.contains(&format!("wsg_fast_stop_unconfirmed{{gripper=\"left\"}} {expected}")), "{text}");
+        }
     }
 
     #[tokio::test]

@@ -29,6 +29,7 @@ async fn metrics_count_commands_and_stops() {
     // These series exist at 0, so that the first occurrence is an increase.
     for series in [
         g("wsg_fast_stop_latched", ""),
+        g("wsg_fast_stop_unconfirmed", ""),
         g("wsg_lease_held", ""),
         g("wsg_state_code", ""),
         g("wsg_commands_total", ",kind=\"grip\",outcome=\"NO_PART\""),
