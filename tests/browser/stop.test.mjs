@@ -3,7 +3,7 @@
 import assert from 'node:assert/strict';
 import { test } from 'node:test';
 
-import { assertClean, browser, gateway, named, slowReads, until, visit } from './harness.mjs';
+import { assertClean, browser, gateway, named, simulator, slowReads, until, visit } from './harness.mjs';
 
 const launched = await browser();
 
@@ -151,4 +151,24 @@ test('the result of the newest STOP is shown', async () => {
       }),
   );
   assert.equal(await page.locator('.stopped:has-text("did not get through")').count(), 0);
+});
+
+test('FAST STOP of one gripper shows whether it is confirmed, and that it failed', async () => {
+  const device = await simulator();
+  const served = await gateway({ more: ['--gripper', `left=${device.url}`, '--gripper', 'right=sim://wsg50'] });
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  visitor.allowed.connections = true;
+  await page.waitForSelector('#take-control');
+  await page.click('#stop-one');
+  await page.waitForSelector('.stopped:has-text("FAST STOP confirmed (left).")');
+  assert.equal((await served.ask('GET', 'grippers/right/state')).fast_stop, false);
+  device.child.kill('SIGSTOP');
+  await page.waitForSelector('.cover');
+  await page.click('#stop-one');
+  await page.waitForSelector('.stopped:has-text("not yet confirmed by left")');
+  await served.kill();
+  await page.waitForSelector('.alarm:has-text("No connection to the gateway")');
+  await page.click('#stop-one');
+  await page.waitForSelector('.stopped:has-text("did not get through")');
 });

@@ -143,13 +143,5 @@ export const fastStop = () => sendFastStop('fast-stop', 'fast-stop');
 /** Sends a FAST STOP to the grippers of all gateways. */
 export const fastStopFleet = () => sendFastStop('fleet.fast-stop', 'fleet/fast-stop', {}, FALLS_BACK_AFTER_MS.fleet);
 
-/** Stops one gripper. A failure of the newest request is shown beside its controls. */
-export async function fastStopOne(one) {
-  const isNewest = one.stopping();
-  one.problem.value = null;
-  try {
-    await sendFastStop('fast-stop', `grippers/${one.name}/fast-stop`, { gripper: one.name });
-  } catch (problem) {
-    if (isNewest()) one.problem.value = problem;
-  }
-}
+/** Sends a FAST STOP to one gripper. */
+export const fastStopOne = ({ name }) => sendFastStop('fast-stop', `grippers/${name}/fast-stop`, { gripper: name });

@@ -3,7 +3,7 @@
 import { batch, computed, signal } from '../lib.js';
 import { Samples } from '../core/ring.js';
 import { has } from '../core/flags.js';
-import { numbered, ordered } from '../core/newest.js';
+import { ordered } from '../core/newest.js';
 import { person } from '../core/people.js';
 
 /** Ten minutes at 20 samples a second. */
@@ -50,8 +50,6 @@ export class Gripper {
     this.epoch = null;
     /** How this page lost control, unless the user gave it up: `{how, by}`, or null. */
     this.lostControl = signal(null);
-    /** Numbers the FAST STOP requests for this gripper. */
-    this.stopping = numbered();
     /** Whether this page has requested a motion that no state reports yet. */
     this.isMotionRequested = signal(false);
     this.samples = new Samples(SAMPLES);

@@ -5,7 +5,7 @@ import { isOpen, PRIORITIES } from '../core/alarms.js';
 import { numbered } from '../core/newest.js';
 import { alarms } from '../model/alarms.js';
 import { ofProblem, t, time } from '../model/i18n.js';
-import { fastStop, fastStopFleet } from '../model/commands.js';
+import { fastStop, fastStopFleet, fastStopOne } from '../model/commands.js';
 import { mustSignIn } from '../model/me.js';
 import { connection, gripper, grippers, hasOthers, heardAt, isLive, selected } from '../model/store.js';
 import { isOld } from '../model/version.js';
@@ -19,8 +19,8 @@ const press = numbered();
 /** Time for which a confirmation is shown. */
 const CONFIRMATION_SHOWN_MS = 8000;
 
-/** Shows the result of a FAST STOP, and the grippers that it reached. `reach` is `here` or `fleet`. */
-async function stopAndReport(send, reach) {
+/** Shows the result of a FAST STOP, and the grippers that it reached. `whom` is `one`, `here` or `fleet`. */
+async function stopAndReport(send, whom) {
   const isNewest = press();
   const report = (result) => {
     if (isNewest()) stopped.value = result;
@@ -29,11 +29,12 @@ async function stopAndReport(send, reach) {
   const sent = send();
   report({ text: t('stop.sent') });
   try {
-    const { fast_stop_confirmed: isConfirmed, confirmed, unconfirmed } = await sent;
+    // The answer for one gripper names it, and has no lists.
+    const { fast_stop_confirmed: isConfirmed, gripper: name, confirmed, unconfirmed = [name] } = await sent;
     const text = isConfirmed
-      ? t('stop.confirmed', { reach: t(`stop.${reach}_count`, { count: confirmed.length }) })
+      ? t('stop.confirmed', { reach: name ?? t(`stop.${whom}_count`, { count: confirmed.length }) })
       : t('stop.unconfirmed', { grippers: unconfirmed.join(', ') });
-    const isPart = reach === 'here' && hasOthers.peek();
+    const isPart = whom === 'here' && hasOthers.peek();
     report({ text: isPart ? `${text} ${t('stop.not_others')}` : text, isWrong: !isConfirmed });
     if (isConfirmed) setTimeout(() => report(null), CONFIRMATION_SHOWN_MS);
   } catch (problem) {
@@ -42,6 +43,8 @@ async function stopAndReport(send, reach) {
 }
 
 export const stop = () => stopAndReport(fastStop, 'here');
+
+export const stopOne = (one) => stopAndReport(() => fastStopOne(one), 'one');
 
 export const stopFleet = () => stopAndReport(fastStopFleet, 'fleet');
 

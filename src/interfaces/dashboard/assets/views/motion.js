@@ -4,10 +4,11 @@ import { computed, html, signal, useMemo } from '../lib.js';
 import { isGrip } from '../core/kinds.js';
 import { asTyped, forceLimits, mistake, number, speedLimits, widthLimits } from '../core/limits.js';
 import { fixed, plain, t } from '../model/i18n.js';
-import { askFreely, fastStopOne, move, releaseControl, takeControl } from '../model/commands.js';
+import { askFreely, move, releaseControl, takeControl } from '../model/commands.js';
 import { isUnnamed, MAX_NAME_BYTES, myName, rename } from '../model/name.js';
 import { openTo } from '../model/prefs.js';
 import { isLive } from '../model/store.js';
+import { stopOne } from '../ui/bar.js';
 import { Covered, MAX_PART_BYTES, onPress, Panel, Shape, within } from '../ui/parts.js';
 import { hasFailed } from '../ui/result.js';
 import { NumberField } from './fields.js';
@@ -195,7 +196,7 @@ export function Motion({ one }) {
   const isLatched = one.latchId.value !== null;
   const actions = html`<button type="button" id="stop-soft" disabled=${!isLive.value} onClick=${() =>
     askFreely(one, 'stop')}>${t('command.stop')}</button>
-    <button type="button" id="stop-one" class="at-once" ...${onPress(() => fastStopOne(one))}>${t('motion.fast_stop', {
+    <button type="button" id="stop-one" class="at-once" ...${onPress(() => stopOne(one))}>${t('motion.fast_stop', {
       gripper: one.name,
     })}</button>`;
   return html`<${Panel} title=${t('motion.title')} id="motion-title" class="motion-panel" actions=${actions}>
