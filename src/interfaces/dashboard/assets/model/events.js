@@ -5,7 +5,7 @@ import { isGrip } from '../core/kinds.js';
 import { takeControl } from './commands.js';
 import { myName } from './name.js';
 import { takeRecipeChange } from './recipes.js';
-import { journalChanges, learn, learnSettings, others, rpc } from './store.js';
+import { journalChanges, learn, learnSettings, others, read, rpc } from './store.js';
 
 /** Limit of the clients in `others`. */
 const MAX_OTHERS = 32;
@@ -75,8 +75,10 @@ async function catchUpCommand(one) {
   if (one.target.peek()?.command !== runs) one.target.value = null;
   const shown = one.command.peek();
   const isOver = shown?.phase === 'running' && shown.id !== runs;
-  if (!isOver && (runs === null || shown?.id === runs)) return;
-  const answer = await rpc.call('command', { gripper: one.name, command: runs ?? shown.id }).catch(() => null);
+  if (runs !== null && shown?.id === runs) return;
+  // Without a running one, the newest motion can have begun and ended meanwhile.
+  const asked = runs === null ? read('command.latest', one) : read('command', one, { command: runs });
+  const answer = await asked.catch(() => null);
   if (one.command.peek() !== shown) return;
   if (answer) one.command.value = answer;
   else if (isOver) one.command.value = { ...shown, phase: 'done', outcome: 'UNKNOWN' };

@@ -64,6 +64,8 @@ export class Gripper {
     this.linkCause = of((state) => state.link_cause);
     this.flags = of((state) => state.flags_raw);
     this.faultCode = of((state) => state.fault_code);
+    /** `outcome_code` of the newest motion of any client; Stops do not change it. */
+    this.outcomeCode = of((state) => state.last_outcome_code);
     this.isMoving = of((state) => state.moving);
     this.isReferenced = of((state) => state.referenced);
     this.holder = of((state) => state.lease_holder);

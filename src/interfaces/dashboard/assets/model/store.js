@@ -183,7 +183,8 @@ async function subscribe() {
 }
 
 const inTurn = paced(MAX_READS);
-const read = (method, one) => inTurn(() => rpc.call(method, { gripper: one.name }));
+/** Reads about a gripper, a few at a time. */
+export const read = (method, one, params = {}) => inTurn(() => rpc.call(method, { gripper: one.name, ...params }));
 
 /** Fetches what a state does not contain: limits, and the terms of the lease. */
 export function learn(one) {

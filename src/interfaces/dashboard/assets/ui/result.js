@@ -10,8 +10,9 @@ import { Shape } from './parts.js';
 const HELD = 'HOLDING';
 const FAILED = ['NO_PART', 'PART_LOST'];
 
-/** Outcome of a grip that holds a part outside the limits of its recipe. */
+/** Outcome of a grip that holds a part outside the limits of its recipe, and its `outcome_code`. */
 const WRONG_PART = 'WRONG_PART';
+const WRONG_PART_CODE = 11;
 
 const FAULTS = FLAGS.filter(({ weight }) => weight === 'fault');
 
@@ -41,8 +42,10 @@ function resultOf(one) {
     // `reading` is read only in this state, so that moving fingers do not render the result again.
     const { width_mm: width, force_n: force } = one.reading.value ?? {};
     const figures = `${fixed(width, 1)} mm · ${fixed(force, 1)} N`;
-    if (command?.outcome === WRONG_PART) {
-      const note = t('result.contact', { width: fixed(command.contact_width_mm, 2) });
+    // The newest command can be a Stop, which changes nothing of the grip.
+    if (one.outcomeCode.value === WRONG_PART_CODE) {
+      const contact = command?.outcome === WRONG_PART ? command.contact_width_mm : null;
+      const note = contact === null ? null : t('result.contact', { width: fixed(contact, 2) });
       return { state: WRONG_PART, isWrong: true, text: t('result.wrong_part'), figures, note };
     }
     return { state, text: t('result.held'), figures, note: early(command, width) };
