@@ -18,7 +18,7 @@ export function noteMove(place) {
 }
 
 /** Buttons that move the fingers. Stops always act. */
-const MOTIONS = '#grip, #release, #move, #home, .hold, .steps button';
+const MOTIONS = '#grip, #release, #move, #home, .hold, .steps button, .recipe-buttons [data-act^="command."]';
 
 const isMotion = (target) => target.closest?.(MOTIONS) != null;
 
