@@ -58,6 +58,28 @@ test('a held part is listed, although no event follows its record', async () => 
   assertClean(visitor);
 });
 
+test('the history is current although other events follow each other closely', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served, { path: '/#/left/history' });
+  const { page } = visitor;
+  await page.waitForSelector('.nothing');
+  let isBusy = true;
+  const busy = (async () => {
+    for (let count = 0; isBusy; count += 1) {
+      await served.ask('PUT', 'grippers/right/settings/acceleration', { acceleration_mm_s2: 500 + (count % 100) });
+      await new Promise((resolve) => {
+        setTimeout(resolve, 50);
+      });
+    }
+  })();
+  await post(served, 'left/home');
+  await page.waitForSelector('tbody tr:has-text("Home")').finally(() => {
+    isBusy = false;
+  });
+  await busy;
+  assertClean(visitor);
+});
+
 test('parts are searched by the beginning of their ids', async () => {
   const served = await worked();
   const visitor = await visit(launched, served, { path: '/#/left/history' });

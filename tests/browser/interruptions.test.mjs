@@ -370,3 +370,15 @@ test('two tabs are two clients and share presets', async () => {
   for (const page of [one.page, other]) assert.equal(await page.locator('.preset').count(), 2);
   assertClean(one);
 });
+  const change = (acceleration_mm_s2) =>
+    served.ask('PUT', 'grippers/left/settings/acceleration', { acceleration_mm_s2 });
+  for (let count = 0; count < 60; count += 1) await change(500 + count);
+  await page.click('[data-choice=records-events]');
+  await page.click('#older');
+  await page.waitForFunction(() => document.querySelectorAll('tbody tr').length > 60);
+  await silence();
+  const changes = () => page.evaluate('journalChanges.peek()');
+  const before = await changes();
+  await change(600);
+  await until('the page knows of the change', async () => (await changes()) > before);
+  assert.ok((await page.locator('tbody tr').count()) > 60, 'older pages stay');

@@ -3,9 +3,10 @@
 import { batch } from '../lib.js';
 import { isGrip } from '../core/kinds.js';
 import { takeControl } from './commands.js';
+import { noteJournalChange } from './journal.js';
 import { myName } from './name.js';
 import { takeRecipeChange } from './recipes.js';
-import { journalChanges, learn, learnSettings, others, read, rpc } from './store.js';
+import { learn, learnSettings, others, read, rpc } from './store.js';
 
 /** Limit of the clients in `others`. */
 const MAX_OTHERS = 32;
@@ -87,7 +88,7 @@ async function catchUpCommand(one) {
 /** Applies an event that arrived at `at`; `one` is its gripper, if any. */
 export function takeEvent(event, one, at) {
   batch(() => {
-    journalChanges.value += 1;
+    noteJournalChange();
     if (event.subject) remember(event);
     if (event.kind === 'recipe') takeRecipeChange();
     if (!one) return;

@@ -6,6 +6,7 @@ import { paced } from '../core/paced.js';
 import { Rpc } from '../net/rpc.js';
 import { noteGateway, takeAlarms } from './alarms.js';
 import { catchUp, takeEvent } from './events.js';
+import { noteJournalChange } from './journal.js';
 import { recognizeAgain } from './me.js';
 import { myName } from './name.js';
 import { lookForNewer } from './version.js';
@@ -49,8 +50,6 @@ export const now = signal(Date.now());
 /** Grippers of all gateways; null until they are known. */
 export const fleet = signal(null);
 export const hasOthers = computed(() => new Set(fleet.value?.map(({ gateway }) => gateway)).size > 1);
-/** Number of changes of the journal. The history reloads after each. */
-export const journalChanges = signal(0);
 /**
  * Recently active clients: `{subject, label, door, at}` by subject and label. Not a signal, because busy cells would
  * change it all the time.
@@ -138,7 +137,7 @@ export const rpc = new Rpc({
     if (method === 'alarms') takeAlarms(params);
     if (method === 'event') takeEvent(params, find(params.gripper), at);
     // Its record is complete about a second after a motion's last event.
-    if (method === 'grip') journalChanges.value += 1;
+    if (method === 'grip') noteJournalChange();
     if (method === 'command' && find(params.gripper)) find(params.gripper).command.value = params;
     // Events were missed, so the current state is requested.
     if (method === 'gap') subscribe();
@@ -167,7 +166,7 @@ async function subscribe() {
       keepOnly(states.map((state) => state.gripper));
     });
     show();
-    journalChanges.value += 1;
+    noteJournalChange();
     look();
     // Starts from these states; events report what comes after them.
     grippers.peek().forEach((one) => catchUp(one).catch(() => {}));

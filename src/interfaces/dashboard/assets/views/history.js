@@ -1,11 +1,12 @@
 // History of events and motions, from the journal.
 
-import { html, useEffect, useMemo, useSignal } from '../lib.js';
-import { numbered } from '../core/newest.js';
+import { html, useEffect, useMemo, useRef, useSignal } from '../lib.js';
+import { ordered } from '../core/newest.js';
 import { fullDate, t } from '../model/i18n.js';
 import { download } from './export.js';
 import { get, query } from '../net/rest.js';
-import { grippers, isLive, journalChanges } from '../model/store.js';
+import { journalChanges } from '../model/journal.js';
+import { grippers, isLive } from '../model/store.js';
 import { Curve, MAX_CURVES } from './curve.js';
 import { evaluate, Numbers } from './numbers.js';
 import { PartReport } from './part.js';
@@ -15,8 +16,6 @@ import { Choice, Covered, MAX_PART_BYTES, Panel, ProblemNote, within } from '../
 const PAGE = 50;
 /** On a phone, the filters are folded, so that the records are in view. */
 const IS_WIDE = matchMedia('(min-width: 761px)').matches;
-/** Delay of a reload after a change of the journal, because changes come in bursts. */
-const LOOKS_AFTER_MS = 400;
 const KINDS = {
   events: [
     'command',
@@ -99,32 +98,33 @@ export function History({ one }) {
   };
   const shown = what.value;
   const address = `${shown}?${query(asked)}`;
-  const asking = useMemo(numbered, []);
+  const asking = useMemo(ordered, []);
+  /** Addresses of the newest choice, and of the records in the list. */
+  const [chosen, listed] = [useRef(address), useRef(null)];
+  chosen.current = address;
+  // A list with older pages is not reloaded, so that it stays in place.
+  const isKept = () => listed.current === address && list.peek().length > PAGE;
   const load = async (cursor = null) => {
     const isNewest = asking();
+    // The choice of records can have changed, and is not rendered yet.
+    const isWanted = () => address === chosen.current && shown === what.peek() && isNewest();
     try {
       const page = await get(`${address}&${query({ limit: PAGE, cursor })}`);
-      // The choice can have changed without a newer request yet.
-      if (!isNewest() || shown !== what.peek()) return;
+      if (!isWanted() || (!cursor && isKept())) return;
       list.value = cursor ? [...list.peek(), ...page[shown]] : page[shown];
+      listed.current = address;
       next.value = page.next_cursor;
       problem.value = null;
     } catch (refused) {
-      if (isNewest()) problem.value = refused;
+      if (isWanted()) problem.value = refused;
     }
   };
   useEffect(() => {
-    // A list with older pages is not reloaded, so that it stays in place.
-    if (!isLive.peek() || list.peek().length > PAGE) return undefined;
-    const timer = setTimeout(load, LOOKS_AFTER_MS);
-    return () => clearTimeout(timer);
-  }, [journalChanges.value, address]);
+    if (isLive.peek() && !isKept()) load();
+  }, [address, journalChanges.value, isLive.value]);
   useEffect(() => {
     numbers.value = null;
   }, [address]);
-  useEffect(() => {
-    load();
-  }, [address, isLive.value]);
   const choose = (name) => {
     what.value = name;
     kind.value = '';
