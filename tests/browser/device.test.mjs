@@ -71,6 +71,29 @@ test('a finger set is named, counts its grips, and asks for maintenance', async 
   assertClean(visitor);
 });
 
+test('settings are read again when a device returns, and a new tag is shown everywhere', async () => {
+  const device = await simulator();
+  const served = await gateway({ more: ['--gripper', `left=${device.url}`] });
+  const visitor = await visit(launched, served, { path: '/#/left/device' });
+  const { page } = visitor;
+  let reads = 0;
+  page.on('websocket', (socket) =>
+    socket.on('framesent', ({ payload }) => {
+      if (String(payload).includes('"settings.acceleration"')) reads += 1;
+    }),
+  );
+  await page.reload();
+  await until('the settings are read', () => reads === 1);
+  await served.ask('PUT', 'grippers/left/settings/device-tag', { tag: 'cell 7' });
+  await page.waitForSelector('section[aria-labelledby=device-title] dd:has-text("cell 7")');
+  assert.equal(await page.inputValue('#tag'), 'cell 7');
+  device.child.kill('SIGSTOP');
+  await page.waitForSelector('.cover');
+  device.child.kill('SIGCONT');
+  await until('the settings are read again', () => reads === 2);
+  assertClean(visitor);
+});
+
 test('diagnostics are shown, and the title has the gateway and its alarms', async () => {
   const served = await gateway({ more: ['--name', 'cell-1', '--gripper', 'left=sim://wsg50'] });
   const visitor = await visit(launched, served, { path: '/#/left/device' });

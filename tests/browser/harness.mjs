@@ -119,13 +119,17 @@ export async function simulator() {
   return { child, url, happens };
 }
 
-/** Starts a gateway, and reads its state with the token `secret`; `port` 0 is any free port. Waits until the grippers in `connects` are connected, or all. */
+/**
+ * Starts a gateway, and reads its state with the token `secret`; `port` 0 is any free port. Waits until the grippers in
+ * `connects` are connected, or all. `reload` replaces its configuration `toml`.
+ */
 export async function gateway({ port = 0, more = [], toml = '', connects = null, secret = null } = {}) {
   const own = ['--listen', `127.0.0.1:${port}`, '--zenoh-listen', 'tcp/127.0.0.1:0', '--journal', ':memory:'];
+  let file = null;
   if (toml !== '') {
     const folder = mkdtempSync(join(tmpdir(), 'wsg-browser-'));
     started.push(() => rmSync(folder, { recursive: true }));
-    const file = join(folder, 'gateway.toml');
+    file = join(folder, 'gateway.toml');
     writeFileSync(file, toml);
     own.push('--config', file);
   }
@@ -135,7 +139,11 @@ export async function gateway({ port = 0, more = [], toml = '', connects = null,
     const response = await fetch(`${url}/api/v1/${path}`, { method, headers, body: body && JSON.stringify(body) });
     return response.json();
   };
-  const one = { url, child, port: Number(new URL(url).port), kill, says, ask };
+  const reload = (changed) => {
+    writeFileSync(file, changed);
+    child.kill('SIGHUP');
+  };
+  const one = { url, child, port: Number(new URL(url).port), kill, says, ask, reload };
   await until('the grippers are connected', async () => {
     const { grippers } = await ask('GET', 'grippers');
     return (

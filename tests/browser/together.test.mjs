@@ -236,3 +236,23 @@ test('a fleet of two gateways shows which one is gone', async () => {
   await row('cell-1\\s+left\\s+connected');
   assertClean(visitor);
 });
+
+test('a reload of the configuration changes the grippers and the rights on an open page', async () => {
+  const config = (role, ...names) => `
+    [[clients]]
+    name = "panel"
+    address = "127.0.0.1"
+    role = "${role}"
+    ${names.map((name) => `[grippers.${name}]\nurl = "sim://wsg50"`).join('\n')}
+  `;
+  const served = await gateway({ toml: config('operator', 'left', 'right') });
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  await page.waitForSelector('.chip:has-text("right")');
+  await page.waitForSelector('#take-control');
+  served.reload(config('observer', 'left', 'third'));
+  await page.waitForSelector('.chip:has-text("third")');
+  assert.equal(await page.locator('.chip:has-text("right")').count(), 0);
+  await page.waitForSelector('#take-control', { state: 'detached' });
+  assertClean(visitor);
+});

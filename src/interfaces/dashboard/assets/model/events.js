@@ -58,6 +58,7 @@ function takeSetting(event, one) {
   if (event.setting === 'overdrive') learnSettings(one, ['force-limit']);
   one.settingsChange.value = event;
 }
+  if (event.setting === 'device_tag') learn(one);
 
 /** Fetches what began or ended while the connection was lost. */
 export function catchUp(one) {

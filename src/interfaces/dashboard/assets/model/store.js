@@ -139,8 +139,8 @@ export const rpc = new Rpc({
     // Its record is complete about a second after a motion's last event.
     if (method === 'grip') noteJournalChange();
     if (method === 'command' && find(params.gripper)) find(params.gripper).command.value = params;
-    // Events were missed, so the current state is requested.
-    if (method === 'gap') subscribe();
+    // Events were missed, or the configuration has changed: what is current is requested.
+    if (method === 'gap' || params.event === 'reloaded') subscribe();
   },
 });
 
@@ -155,7 +155,9 @@ const askedHz = signal(null);
 
 const askFor = (max_hz) => rpc.call('subscribe', { topics: ['state', 'events', 'grips', 'alarms'], max_hz });
 
+/** Requests all that can have changed meanwhile, and subscribes to further changes. */
 async function subscribe() {
+  recognizeAgain();
   try {
     const begun = rpc.begun();
     askedHz.value = begun?.params.max_hz ?? hz.peek();
