@@ -8,8 +8,9 @@ import { assertClean, browser, controlled, gateway, homed, named, simulator, unt
 const launched = await browser();
 
 /**
- * Filters the messages between a page and the gateway, from the page's next load on. `toPage` gets a message, a function
- * that passes the message on, and the request that it answers, if any. `onOpen` gets each connection of the page.
+ * Filters the messages between a page and the gateway, from the page's next load on. `toPage` gets a message, which it
+ * can change, a function that passes the original on, and the request that it answers, if any. `onOpen` gets each
+ * connection of the page.
  */
 function filtered(page, { toPage = () => true, toGateway = () => true, onOpen = () => {} }) {
   return page.routeWebSocket('**/api/v1/ws', (socket) => {
@@ -24,7 +25,7 @@ function filtered(page, { toPage = () => true, toGateway = () => true, onOpen = 
     server.onMessage((message) => {
       const parsed = JSON.parse(message);
       const request = requests.get(parsed.id);
-      if (toPage(parsed, () => socket.send(message), request)) socket.send(message);
+      if (toPage(parsed, () => socket.send(message), request)) socket.send(JSON.stringify(parsed));
     });
   });
 }
@@ -71,6 +72,69 @@ test('only the first request for control is confirmed', async () => {
   await cleo.page.click('#ask-control');
   await cleo.page.waitForSelector('.problem:has-text("Ben asked for control first")');
   assert.equal(await cleo.page.locator('.control-panel:has-text("Control requested.")').count(), 0);
+});
+
+test('control is taken by the second that asked, and by a page that was renamed meanwhile', async () => {
+  const served = await gateway();
+  const [anna, ben, cleo] = [
+    await visit(launched, served),
+    await visit(launched, served),
+    await visit(launched, served),
+  ];
+  for (const [{ page }, name] of [
+    [ben, 'Ben'],
+    [cleo, 'Cleo'],
+  ])
+    await named(page, name);
+  await controlled(anna.page);
+  await ben.page.click('#ask-control');
+  await ben.page.waitForSelector('.control-panel:has-text("Control requested.")');
+  await cleo.page.click('#ask-control');
+  await cleo.page.waitForSelector('.problem:has-text("Ben asked for control first")');
+  await named(ben.page, 'Benjamin');
+  await anna.page.click('#hand-over');
+  await ben.page.waitForSelector('.status.tone-mine');
+  await ben.page.click('#hand-over');
+  await cleo.page.waitForSelector('.status.tone-mine');
+  const { holder, requested_by: asks } = await served.ask('GET', 'grippers/left/lease');
+  assert.deepEqual([holder, asks], ['Cleo', null]);
+});
+
+test('a request for control is repeated, and the holder notices its end', async () => {
+  const served = await gateway();
+  const [anna, ben] = [await visit(launched, served), await visit(launched, served)];
+  await named(ben.page, 'Ben');
+  let requests = 0;
+  let hasEnded = false;
+  await filtered(anna.page, {
+    // As if the request had not been repeated for 60 s.
+    toPage: (message, _pass, request) => {
+      if (hasEnded && request?.method === 'lease') message.result.requested_by = null;
+      return true;
+    },
+  });
+  await filtered(ben.page, {
+    toGateway: ({ method, params }) => {
+      if (method === 'lease.take' && params.request) requests += 1;
+      return true;
+    },
+  });
+  for (const { page } of [anna, ben]) {
+    await page.addInitScript(() => {
+      const { setInterval } = globalThis;
+      globalThis.setInterval = (act, ms) => setInterval(act, ms === 20_000 ? 200 : ms);
+    });
+    await page.reload();
+  }
+  await controlled(anna.page);
+  await ben.page.click('#ask-control');
+  await anna.page.waitForSelector('[data-notice=asked]');
+  await until('the request is repeated', () => requests >= 3);
+  assert.equal(await ben.page.locator('.problem').count(), 0);
+  const { events } = await served.ask('GET', 'events?kind=lease');
+  assert.equal(events.filter(({ event }) => event === 'requested').length, 1);
+  hasEnded = true;
+  await anna.page.waitForSelector('[data-notice=asked]', { state: 'detached' });
 });
 
 test('a late answer about the lease does not hide a request for control', async () => {
@@ -317,6 +381,18 @@ test('a short silence loses nothing that a person has typed or opened', async ()
   await silence();
   assert.equal(await page.locator('.numbers').count(), 1);
   assert.equal(await page.locator('.part-report').count(), 1);
+  const change = (acceleration_mm_s2) =>
+    served.ask('PUT', 'grippers/left/settings/acceleration', { acceleration_mm_s2 });
+  for (let count = 0; count < 60; count += 1) await change(500 + count);
+  await page.click('[data-choice=records-events]');
+  await page.click('#older');
+  await page.waitForFunction(() => document.querySelectorAll('tbody tr').length > 60);
+  await silence();
+  const changes = () => page.evaluate('journalChanges.peek()');
+  const before = await changes();
+  await change(600);
+  await until('the page knows of the change', async () => (await changes()) > before);
+  assert.ok((await page.locator('tbody tr').count()) > 60, 'older pages stay');
   await page.click('[data-view=device]');
   await page.fill('#force-limit-force_n', '44');
   await silence();
@@ -370,15 +446,3 @@ test('two tabs are two clients and share presets', async () => {
   for (const page of [one.page, other]) assert.equal(await page.locator('.preset').count(), 2);
   assertClean(one);
 });
-  const change = (acceleration_mm_s2) =>
-    served.ask('PUT', 'grippers/left/settings/acceleration', { acceleration_mm_s2 });
-  for (let count = 0; count < 60; count += 1) await change(500 + count);
-  await page.click('[data-choice=records-events]');
-  await page.click('#older');
-  await page.waitForFunction(() => document.querySelectorAll('tbody tr').length > 60);
-  await silence();
-  const changes = () => page.evaluate('journalChanges.peek()');
-  const before = await changes();
-  await change(600);
-  await until('the page knows of the change', async () => (await changes()) > before);
-  assert.ok((await page.locator('tbody tr').count()) > 60, 'older pages stay');

@@ -5,7 +5,7 @@ import { postUrgently } from '../net/rest.js';
 import { noConnection } from '../net/rpc.js';
 import { myName } from './name.js';
 import { onLossHolding, onLossMoving } from './prefs.js';
-import { rpc } from './store.js';
+import { grippers, isLive, learn, rpc } from './store.js';
 
 /** Sends a request for a gripper. Resolves with the answer, or null if it was refused. */
 export async function ask(one, method, params = {}) {
@@ -51,18 +51,21 @@ export async function move(one, method, params) {
   return command;
 }
 
-const terms = () => ({
-  holder: myName.peek(),
+const terms = (holder = myName.peek()) => ({
+  holder,
   on_loss_moving: onLossMoving.peek(),
   on_loss_holding: onLossHolding.peek(),
 });
 
-/** Takes control for as long as this page answers. `force` takes it from another holder; `request` asks for it. */
-export async function takeControl(one, { force = false, request = false } = {}) {
+/**
+ * Takes control for as long as this page answers. `force` takes it from another holder; `request` asks for it. `holder`
+ * is the user's name when control was requested, if that is earlier.
+ */
+export async function takeControl(one, { force = false, request = false, holder = myName.peek() } = {}) {
   // Set before the request, because control can be handed over before the answer arrives.
-  if (request) one.isControlRequested.value = true;
+  if (request) one.requestedAs.value = holder;
   const take = one.asking('lease');
-  const lease = await askFreely(one, 'lease.take', { ...terms(), force, request });
+  const lease = await askFreely(one, 'lease.take', { ...terms(holder), force, request });
   // Without a token in the reply, the request waits for the holder.
   if (lease?.token) {
     take(lease);
@@ -72,9 +75,22 @@ export async function takeControl(one, { force = false, request = false } = {}) 
   if (lease?.place && !isFirst) {
     one.problem.value = { code: 'lease_asked', holder: lease.requested_by, detail: '' };
   }
-  if (!isFirst) one.isControlRequested.value = false;
+  if (!isFirst) one.requestedAs.value = null;
   return lease;
 }
+
+/** Interval at which requests for control are repeated: the gateway keeps them for 60 s. */
+const REPEATED_EVERY_MS = 20_000;
+
+setInterval(() => {
+  if (!isLive.peek()) return;
+  for (const one of grippers.peek()) {
+    const holder = one.requestedAs.peek();
+    if (holder !== null) takeControl(one, { request: true, holder });
+    // No event reports that a request was not repeated.
+    else if (one.lease.peek()?.requested_by) learn(one);
+  }
+}, REPEATED_EVERY_MS);
 
 /** Changes the terms of the lease that this page holds. */
 export async function changeTerms(one, more = {}) {
@@ -103,6 +119,9 @@ export async function handOver(one, to) {
   if (lease) {
     one.own(null);
     take(lease);
+  } else {
+    // The request has ended, for example.
+    learn(one);
   }
 }
 

@@ -48,17 +48,19 @@ function takeLoss({ event, holder, epoch, cause }, one) {
 /** Ends a request for control, and takes control if it was handed over to this page. */
 function takeAnswer({ event, holder }, one) {
   if (event === 'requested') return;
-  one.isControlRequested.value = false;
-  if (event === 'handed_over' && holder === myName.peek()) takeControl(one);
+  const requestedAs = one.requestedAs.peek();
+  one.requestedAs.value = null;
+  // The holder can also hand over to a page that was not the first to ask, and does not wait.
+  if (event === 'handed_over' && [requestedAs, myName.peek()].includes(holder)) takeControl(one, { holder });
 }
 
 function takeSetting(event, one) {
   one.takeSettings(event.setting === 'soft_limits_cleared' ? { ...event, minus_mm: null, plus_mm: null } : event);
   // Without overdrive, the device reduces a force limit above the nominal force. No event reports this.
   if (event.setting === 'overdrive') learnSettings(one, ['force-limit']);
+  if (event.setting === 'device_tag') learn(one);
   one.settingsChange.value = event;
 }
-  if (event.setting === 'device_tag') learn(one);
 
 /** Fetches what began or ended while the connection was lost. */
 export function catchUp(one) {
@@ -66,10 +68,11 @@ export function catchUp(one) {
 }
 
 async function catchUpAnswer(one) {
-  if (!one.isControlRequested.peek()) return;
+  const requestedAs = one.requestedAs.peek();
+  if (requestedAs === null) return;
   const { holder, requested_by: asks } = await rpc.call('lease', { gripper: one.name });
-  one.isControlRequested.value = asks === myName.peek();
-  if (holder === myName.peek()) await takeControl(one);
+  if (asks !== requestedAs) one.requestedAs.value = null;
+  if (holder === requestedAs) await takeControl(one, { holder });
 }
 
 async function catchUpCommand(one) {
@@ -98,8 +101,8 @@ export function takeEvent(event, one, at) {
     if (event.kind === 'lease') {
       takeLoss(event, one);
       learn(one);
+      takeAnswer(event, one);
     }
     if (event.kind === 'link' && event.link === 'connected') Promise.all([learn(one), learnSettings(one)]);
-    if (event.kind === 'lease' && one.isControlRequested.peek()) takeAnswer(event, one);
   });
 }

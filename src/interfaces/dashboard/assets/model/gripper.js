@@ -45,7 +45,8 @@ export class Gripper {
     this.problem = signal(null);
     /** Lease that this page holds: `{token, epoch}`. */
     this.held = signal(null);
-    this.isControlRequested = signal(false);
+    /** Name under which this page requests control, and waits for it; null while it does not. */
+    this.requestedAs = signal(null);
     /** Epoch of the lease that this page took and has not given up; null without one. */
     this.epoch = null;
     /** How this page lost control, unless the user gave it up: `{how, by}`, or null. */

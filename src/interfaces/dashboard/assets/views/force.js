@@ -1,6 +1,6 @@
 // Taking control by force, which always asks for confirmation.
 
-import { html, useSignal } from '../lib.js';
+import { html, useEffect, useSignal } from '../lib.js';
 import { t } from '../model/i18n.js';
 import { takeControl } from '../model/commands.js';
 
@@ -8,6 +8,10 @@ import { takeControl } from '../model/commands.js';
 export function Force({ one, place = '', of = '' }) {
   const isSure = useSignal(false);
   const name = (key) => `${t(key)}${of}`;
+  // The confirmation is for this gripper and this holder.
+  useEffect(() => {
+    isSure.value = false;
+  }, [one, one.state.value?.lease_epoch]);
   if (!isSure.value)
     return html`<button type="button" id=${`${place}force-control`} aria-label=${name('control.force')}
         onClick=${() => {
