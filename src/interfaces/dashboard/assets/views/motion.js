@@ -17,7 +17,7 @@ import { Latch } from './latch.js';
 import { Presets } from './presets.js';
 
 /** Input for each gripper, kept while the page is open. */
-const typed = new Map();
+const typed = new WeakMap();
 
 /** Distance by which Release opens beyond the part's width, unless the user types another width. */
 const OPENS_BY_MM = 10;
