@@ -160,15 +160,20 @@ test('FAST STOP of one gripper shows whether it is confirmed, and that it failed
   const { page } = visitor;
   visitor.allowed.connections = true;
   await page.waitForSelector('#take-control');
-  await page.click('#stop-one');
-  await page.waitForSelector('.stopped:has-text("FAST STOP confirmed (left).")');
-  assert.equal((await served.ask('GET', 'grippers/right/state')).fast_stop, false);
   device.child.kill('SIGSTOP');
   await page.waitForSelector('.cover');
   await page.click('#stop-one');
   await page.waitForSelector('.stopped:has-text("not yet confirmed by left")');
+  await page.click('.chip:has-text("right")');
+  await page.click('#stop-one:has-text("right")');
+  await page.waitForSelector('.stopped:has-text("FAST STOP confirmed (right).")');
+  assert.equal(await page.locator('.stopped:has-text("not yet confirmed by left")').count(), 1);
   await served.kill();
   await page.waitForSelector('.alarm:has-text("No connection to the gateway")');
   await page.click('#stop-one');
-  await page.waitForSelector('.stopped:has-text("did not get through")');
+  await page.waitForSelector('.stopped:has-text("right: FAST STOP did not get through")');
+  // The result for all grippers includes each of them.
+  await page.keyboard.press('Escape');
+  await page.waitForFunction(() => document.querySelectorAll('.stopped').length === 1);
+  await page.waitForSelector('.stopped:text-matches("^FAST STOP did not get through")');
 });

@@ -2,7 +2,6 @@
 
 import { html, signal } from '../lib.js';
 import { isOpen, PRIORITIES } from '../core/alarms.js';
-import { numbered } from '../core/newest.js';
 import { alarms } from '../model/alarms.js';
 import { ofProblem, t, time } from '../model/i18n.js';
 import { fastStop, fastStopFleet, fastStopOne } from '../model/commands.js';
@@ -12,41 +11,61 @@ import { isOld } from '../model/version.js';
 import { onPress, Shape, whyOld } from './parts.js';
 import { go } from './route.js';
 
-/** Result of the newest STOP as a text. Results of older ones are ignored. */
-const stopped = signal(null);
-const press = numbered();
+/** Results of FAST STOPs, as texts, by the name of the gripper. */
+const results = signal(new Map());
+/** Stands for all grippers. */
+const ALL = '';
+/** The newest FAST STOP by gripper. Results of older ones are ignored. */
+const newest = new Map();
+
+function change(whom, result) {
+  const changed = new Map(results.peek());
+  if (result === null) changed.delete(whom);
+  else changed.set(whom, result);
+  results.value = changed;
+}
 
 /** Time for which a confirmation is shown. */
 const CONFIRMATION_SHOWN_MS = 8000;
 
-/** Shows the result of a FAST STOP, and the grippers that it reached. `whom` is `one`, `here` or `fleet`. */
-async function stopAndReport(send, whom) {
-  const isNewest = press();
+/**
+ * Shows the result of a FAST STOP, and the grippers that it reached. `whom` is a gripper's name or `ALL`, and `countText`
+ * the key of the text with the number of all.
+ */
+async function stopAndReport(send, whom, countText = null) {
+  const mine = {};
   const report = (result) => {
-    if (isNewest()) stopped.value = result;
+    if (newest.get(whom) === mine) change(whom, result);
   };
   // The request is sent before the page changes.
   const sent = send();
+  if (whom === ALL) {
+    // Its result includes every gripper.
+    newest.clear();
+    results.value = new Map();
+  }
+  newest.set(whom, mine);
   report({ text: t('stop.sent') });
   try {
     // The answer for one gripper names it, and has no lists.
     const { fast_stop_confirmed: isConfirmed, gripper: name, confirmed, unconfirmed = [name] } = await sent;
     const text = isConfirmed
-      ? t('stop.confirmed', { reach: name ?? t(`stop.${whom}_count`, { count: confirmed.length }) })
+      ? t('stop.confirmed', { reach: name ?? t(countText, { count: confirmed.length }) })
       : t('stop.unconfirmed', { grippers: unconfirmed.join(', ') });
-    const isPart = whom === 'here' && hasOthers.peek();
+    const isPart = countText === 'stop.here_count' && hasOthers.peek();
     report({ text: isPart ? `${text} ${t('stop.not_others')}` : text, isWrong: !isConfirmed });
     if (isConfirmed) setTimeout(() => report(null), CONFIRMATION_SHOWN_MS);
   } catch (problem) {
-    report({ text: t('stop.failed', { why: ofProblem(problem) }), isWrong: true });
+    const text = t('stop.failed', { why: ofProblem(problem) });
+    report({ text: whom === ALL ? text : `${whom}: ${text}`, isWrong: true });
   }
 }
 
-export const stop = () => stopAndReport(fastStop, 'here');
+export const stop = () => stopAndReport(fastStop, ALL, 'stop.here_count');
 
-export const stopOne = (one) => stopAndReport(() => fastStopOne(one), 'one');
+export const stopOne = (one) => stopAndReport(() => fastStopOne(one), one.name);
 
-export const stopFleet = () => stopAndReport(fastStopFleet, 'fleet');
+export const stopFleet = () => stopAndReport(fastStopFleet, ALL, 'stop.fleet_count');
 
 const STOP_KEYS = ['Escape', 'Pause'];
 
@@ -165,14 +184,12 @@ export function Bar({ notices }) {
         onClick=${() => location.reload()}>${t('reload')}</button></p>`
     }
     ${notices && html`<${notices} />`}
-    ${
-      stopped.value &&
-      html`<p class=${`stopped ${stopped.value.isWrong ? 'tone-critical' : ''}`}
-        role="status">${stopped.value.text}
-      <button type="button" class="quiet" aria-label=${`${t('close')}: ${t('state.FAST_STOP')}`} onClick=${() => {
-        stopped.value = null;
-      }}>${t('close')}</button></p>`
-    }
+    <div class="results">${[...results.value].map(
+      ([whom, { text, isWrong }]) => html`<p key=${whom} class=${`stopped ${isWrong ? 'tone-critical' : ''}`}
+        role="status">${text}
+      <button type="button" class="quiet" aria-label=${`${t('close')}: ${t('state.FAST_STOP')}`}
+        onClick=${() => change(whom, null)}>${t('close')}</button></p>`,
+    )}</div>
   </header>`;
 }
 
