@@ -388,11 +388,22 @@ test('a short silence loses nothing that a person has typed or opened', async ()
   await page.click('#older');
   await page.waitForFunction(() => document.querySelectorAll('tbody tr').length > 60);
   await silence();
+  let reloads = 0;
+  page.on('request', (request) => {
+    if (request.url().includes('/events?')) reloads += 1;
+  });
   const changes = () => page.evaluate('journalChanges.peek()');
   const before = await changes();
   await change(600);
   await until('the page knows of the change', async () => (await changes()) > before);
   assert.ok((await page.locator('tbody tr').count()) > 60, 'older pages stay');
+  await page.evaluate(
+    () =>
+      new Promise((resolve) => {
+        requestAnimationFrame(() => setTimeout(resolve));
+      }),
+  );
+  assert.equal(reloads, 0);
   await page.click('[data-view=device]');
   await page.fill('#force-limit-force_n', '44');
   await silence();

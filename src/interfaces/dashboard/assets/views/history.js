@@ -99,18 +99,19 @@ export function History({ one }) {
   const shown = what.value;
   const address = `${shown}?${query(asked)}`;
   const asking = useMemo(ordered, []);
-  /** Addresses of the newest choice, and of the records in the list. */
-  const [chosen, listed] = [useRef(address), useRef(null)];
+  /** Addresses of the newest choice, of the records in the list, and of an older page that is being read. */
+  const [chosen, listed, extended] = [useRef(address), useRef(null), useRef(null)];
   chosen.current = address;
   // A list with older pages is not reloaded, so that it stays in place.
-  const isKept = () => listed.current === address && list.peek().length > PAGE;
+  const isKept = () => extended.current === address || (listed.current === address && list.peek().length > PAGE);
   const load = async (cursor = null) => {
     const isNewest = asking();
     // The choice of records can have changed, and is not rendered yet.
-    const isWanted = () => address === chosen.current && shown === what.peek() && isNewest();
+    const isWanted = () =>
+      address === chosen.current && shown === what.peek() && (cursor !== null || !isKept()) && isNewest();
     try {
       const page = await get(`${address}&${query({ limit: PAGE, cursor })}`);
-      if (!isWanted() || (!cursor && isKept())) return;
+      if (!isWanted()) return;
       list.value = cursor ? [...list.peek(), ...page[shown]] : page[shown];
       listed.current = address;
       next.value = page.next_cursor;
@@ -118,6 +119,12 @@ export function History({ one }) {
     } catch (refused) {
       if (isWanted()) problem.value = refused;
     }
+  };
+  const loadOlder = async () => {
+    if (extended.current === address) return;
+    extended.current = address;
+    await load(next.peek());
+    if (extended.current === address) extended.current = null;
   };
   useEffect(() => {
     if (isLive.peek() && !isKept()) load();
@@ -201,7 +208,7 @@ export function History({ one }) {
     </div>
     ${
       next.value &&
-      html`<div><button type="button" id="older" onClick=${() => load(next.peek())}>${t('history.more')}</button>
+      html`<div><button type="button" id="older" onClick=${loadOlder}>${t('history.more')}</button>
       </div>`
     }</${Covered}>
   </${Panel}>`;
