@@ -42,7 +42,7 @@ test('a recipe of one browser is a single tap in another', async () => {
   assert.match(await ben.page.locator('.result').innerText(), /Wrong part held[\s\S]*contact at (19|20)\.\d\d mm/);
   assert.equal(await ben.page.locator('.last .shape-check').count(), 0);
   await shoot(ben.page, 'wrong-part');
-  // A Stop changes nothing of the grip, and a new page learns its result.
+  // A Stop does not change the grip's result, and a new page learns its result.
   await ben.page.click('#stop-soft');
   await ben.page.waitForSelector('.last:has-text("Stop")');
   assert.equal(await ben.page.getAttribute('.result', 'data-result'), 'WRONG_PART');

@@ -42,7 +42,7 @@ function resultOf(one) {
     // `reading` is read only in this state, so that moving fingers do not render the result again.
     const { width_mm: width, force_n: force } = one.reading.value ?? {};
     const figures = `${fixed(width, 1)} mm · ${fixed(force, 1)} N`;
-    // The newest command can be a Stop, which changes nothing of the grip.
+    // The newest command can be a Stop, which does not change the grip's result.
     if (one.outcomeCode.value === WRONG_PART_CODE) {
       const contact = command?.outcome === WRONG_PART ? command.contact_width_mm : null;
       const note = contact === null ? null : t('result.contact', { width: fixed(contact, 2) });
