@@ -32,7 +32,7 @@ test('a stranger can only stop and sign in, and an operator operates', async () 
   await page.waitForSelector('.sign-in [role=alert]');
   assert.equal(await page.locator('.jaws').count(), 0);
   await page.click('#stop');
-  await page.waitForSelector('.stopped:has-text("confirmed")');
+  await page.waitForSelector('.stopped:has-text("FAST STOP confirmed")');
   assert.equal((await served.ask('GET', 'grippers/left/state')).fast_stop, true);
   await signIn(page, operator);
   await page.waitForSelector('.jaws');

@@ -252,7 +252,7 @@ test('a reload of the configuration changes the grippers and the rights on an op
   await page.waitForSelector('#take-control');
   served.reload(config('observer', 'left', 'third'));
   await page.waitForSelector('.chip:has-text("third")');
-  assert.equal(await page.locator('.chip:has-text("right")').count(), 0);
+  await page.waitForSelector('.chip:has-text("right")', { state: 'detached' });
   await page.waitForSelector('#take-control', { state: 'detached' });
   assertClean(visitor);
 });
