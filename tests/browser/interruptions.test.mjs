@@ -120,9 +120,10 @@ test('a request for control is repeated, and the holder notices its end', async 
     },
   });
   for (const { page } of [anna, ben]) {
-    await page.addInitScript(() => {
-      const { setInterval } = globalThis;
-      globalThis.setInterval = (act, ms) => setInterval(act, ms === 20_000 ? 200 : ms);
+    await page.route('**/*.js*', async (route) => {
+      const response = await route.fetch();
+      const text = await response.text();
+      await route.fulfill({ response, body: text.replace('REPEATED_EVERY_MS = 20_000', 'REPEATED_EVERY_MS = 200') });
     });
     await page.reload();
   }
@@ -387,16 +388,15 @@ test('a short silence loses nothing that a person has typed or opened', async ()
   await page.click('[data-choice=records-events]');
   await page.click('#older');
   await page.waitForFunction(() => document.querySelectorAll('tbody tr').length > 60);
-  await silence();
   let reloads = 0;
   page.on('request', (request) => {
     if (request.url().includes('/events?')) reloads += 1;
   });
+  await silence();
   const changes = () => page.evaluate('journalChanges.peek()');
   const before = await changes();
   await change(600);
   await until('the page knows of the change', async () => (await changes()) > before);
-  assert.ok((await page.locator('tbody tr').count()) > 60, 'older pages stay');
   await page.evaluate(
     () =>
       new Promise((resolve) => {
@@ -404,6 +404,7 @@ test('a short silence loses nothing that a person has typed or opened', async ()
       }),
   );
   assert.equal(reloads, 0);
+  assert.ok((await page.locator('tbody tr').count()) > 60, 'older pages stay');
   await page.click('[data-view=device]');
   await page.fill('#force-limit-force_n', '44');
   await silence();

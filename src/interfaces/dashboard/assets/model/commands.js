@@ -5,7 +5,7 @@ import { postUrgently } from '../net/rest.js';
 import { noConnection } from '../net/rpc.js';
 import { myName } from './name.js';
 import { onLossHolding, onLossMoving } from './prefs.js';
-import { grippers, isLive, learn, rpc } from './store.js';
+import { learn, rpc } from './store.js';
 
 /** Sends a request for a gripper. Resolves with the answer, or null if it was refused. */
 export async function ask(one, method, params = {}) {
@@ -51,7 +51,7 @@ export async function move(one, method, params) {
   return command;
 }
 
-const terms = (holder = myName.peek()) => ({
+export const terms = (holder = myName.peek()) => ({
   holder,
   on_loss_moving: onLossMoving.peek(),
   on_loss_holding: onLossHolding.peek(),
@@ -59,11 +59,14 @@ const terms = (holder = myName.peek()) => ({
 
 /**
  * Takes control for as long as this page answers. `force` takes it from another holder; `request` asks for it. `holder`
- * is the user's name when control was requested, if that is earlier.
+ * is the name under which this page asked for control, if the user has been renamed since.
  */
 export async function takeControl(one, { force = false, request = false, holder = myName.peek() } = {}) {
   // Set before the request, because control can be handed over before the answer arrives.
-  if (request) one.requestedAs.value = holder;
+  if (request) {
+    one.controlRequest = { as: holder, at: performance.now() };
+    one.isControlRequested.value = true;
+  }
   const take = one.asking('lease');
   const lease = await askFreely(one, 'lease.take', { ...terms(holder), force, request });
   // Without a token in the reply, the request waits for the holder.
@@ -75,22 +78,9 @@ export async function takeControl(one, { force = false, request = false, holder 
   if (lease?.place && !isFirst) {
     one.problem.value = { code: 'lease_asked', holder: lease.requested_by, detail: '' };
   }
-  if (!isFirst) one.requestedAs.value = null;
+  if (!isFirst) one.isControlRequested.value = false;
   return lease;
 }
-
-/** Interval at which requests for control are repeated: the gateway keeps them for 60 s. */
-const REPEATED_EVERY_MS = 20_000;
-
-setInterval(() => {
-  if (!isLive.peek()) return;
-  for (const one of grippers.peek()) {
-    const holder = one.requestedAs.peek();
-    if (holder !== null) takeControl(one, { request: true, holder });
-    // No event reports that a request was not repeated.
-    else if (one.lease.peek()?.requested_by) learn(one);
-  }
-}, REPEATED_EVERY_MS);
 
 /** Changes the terms of the lease that this page holds. */
 export async function changeTerms(one, more = {}) {
@@ -120,7 +110,7 @@ export async function handOver(one, to) {
     one.own(null);
     take(lease);
   } else {
-    // The request has ended, for example.
+    // The request can have ended.
     learn(one);
   }
 }

@@ -4,7 +4,6 @@ import { batch } from '../lib.js';
 import { isGrip } from '../core/kinds.js';
 import { takeControl } from './commands.js';
 import { noteJournalChange } from './journal.js';
-import { myName } from './name.js';
 import { takeRecipeChange } from './recipes.js';
 import { learn, learnSettings, others, read, rpc } from './store.js';
 
@@ -45,13 +44,18 @@ function takeLoss({ event, holder, epoch, cause }, one) {
   if (event === 'lost' && epoch === one.epoch) one.loseControl(cause === 'forbidden' ? cause : 'expired');
 }
 
-/** Ends a request for control, and takes control if it was handed over to this page. */
+/** Ends the wait for control, and takes control if it was handed over to this page. */
 function takeAnswer({ event, holder }, one) {
   if (event === 'requested') return;
-  const requestedAs = one.requestedAs.peek();
-  one.requestedAs.value = null;
-  // The holder can also hand over to a page that was not the first to ask, and does not wait.
-  if (event === 'handed_over' && [requestedAs, myName.peek()].includes(holder)) takeControl(one, { holder });
+  one.isControlRequested.value = false;
+  takeHandedOver(one, event === 'handed_over' ? holder : null);
+}
+
+/** Takes control as `holder`, if that is the name under which this page has asked for it. */
+async function takeHandedOver(one, holder) {
+  if (holder === null || holder !== one.controlRequest?.as) return;
+  one.controlRequest = null;
+  await takeControl(one, { holder });
 }
 
 function takeSetting(event, one) {
@@ -68,11 +72,11 @@ export function catchUp(one) {
 }
 
 async function catchUpAnswer(one) {
-  const requestedAs = one.requestedAs.peek();
-  if (requestedAs === null) return;
+  const request = one.controlRequest;
+  if (request === null) return;
   const { holder, requested_by: asks } = await rpc.call('lease', { gripper: one.name });
-  if (asks !== requestedAs) one.requestedAs.value = null;
-  if (holder === requestedAs) await takeControl(one, { holder });
+  if (asks !== request.as) one.isControlRequested.value = false;
+  await takeHandedOver(one, holder);
 }
 
 async function catchUpCommand(one) {

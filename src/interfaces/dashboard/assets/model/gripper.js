@@ -45,8 +45,10 @@ export class Gripper {
     this.problem = signal(null);
     /** Lease that this page holds: `{token, epoch}`. */
     this.held = signal(null);
-    /** Name under which this page requests control, and waits for it; null while it does not. */
-    this.requestedAs = signal(null);
+    /** Whether this page waits for control. */
+    this.isControlRequested = signal(false);
+    /** Newest request of this page for control, also if it was not the first in the queue: `{as, at}`, or null. */
+    this.controlRequest = null;
     /** Epoch of the lease that this page took and has not given up; null without one. */
     this.epoch = null;
     /** How this page lost control, unless the user gave it up: `{how, by}`, or null. */
@@ -110,7 +112,7 @@ export class Gripper {
   own(lease) {
     this.held.value = lease && { token: lease.token, epoch: lease.epoch };
     this.epoch = lease?.epoch ?? null;
-    if (lease) this.lostControl.value = null;
+    if (lease) this.lostControl.value = this.controlRequest = null;
   }
 
   /** Notes how this page lost control, if the page had it. */

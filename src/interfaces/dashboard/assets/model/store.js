@@ -5,6 +5,7 @@ import { connectionAfter } from '../core/connection.js';
 import { paced } from '../core/paced.js';
 import { Rpc } from '../net/rpc.js';
 import { noteGateway, takeAlarms } from './alarms.js';
+import { keepAsking } from './asking.js';
 import { catchUp, takeEvent } from './events.js';
 import { noteJournalChange } from './journal.js';
 import { recognizeAgain } from './me.js';
@@ -103,7 +104,9 @@ export function drawWith(draw) {
 }
 
 function takeState(state, at = performance.now()) {
-  ensure(state.gripper).take(state, at);
+  const one = ensure(state.gripper);
+  one.take(state, at);
+  keepAsking(one);
   if (isDirty) return;
   isDirty = true;
   // A hidden page gets no frames.
@@ -139,7 +142,7 @@ export const rpc = new Rpc({
     // Its record is complete about a second after a motion's last event.
     if (method === 'grip') noteJournalChange();
     if (method === 'command' && find(params.gripper)) find(params.gripper).command.value = params;
-    // Events were missed, or the configuration has changed: what is current is requested.
+    // Events were missed, or the configuration has changed.
     if (method === 'gap' || params.event === 'reloaded') subscribe();
   },
 });
@@ -155,7 +158,7 @@ const askedHz = signal(null);
 
 const askFor = (max_hz) => rpc.call('subscribe', { topics: ['state', 'events', 'grips', 'alarms'], max_hz });
 
-/** Requests all that can have changed meanwhile, and subscribes to further changes. */
+/** Fetches everything that may have changed, and subscribes to further changes. */
 async function subscribe() {
   recognizeAgain();
   try {

@@ -32,7 +32,7 @@ function Held({ one }) {
 
 function OfAnother({ one, holder }) {
   return html`<p><${Shape} name="lock" /> ${t('control.held_by', { holder })}</p>
-    ${one.requestedAs.value && html`<p class="muted" role="status">${t('control.asking', { holder })}</p>`}
+    ${one.isControlRequested.value && html`<p class="muted" role="status">${t('control.asking', { holder })}</p>`}
     <div class="buttons">
       <button type="button" id="ask-control" onClick=${() => takeControl(one, { request: true })}>${t('control.ask')}
         </button>

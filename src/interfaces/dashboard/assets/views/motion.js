@@ -83,7 +83,7 @@ function WhoControls({ one }) {
     return html`<div class="take"><p>${t('control.you')}</p>
       ${button('control.release', () => releaseControl(one))}</div>`;
   if (holder)
-    return html`<div class="take"><p>${t(one.requestedAs.value ? 'control.asking' : 'control.held_by', { holder })}</p>
+    return html`<div class="take"><p>${t(one.isControlRequested.value ? 'control.asking' : 'control.held_by', { holder })}</p>
       ${button('control.ask', () => takeControl(one, { request: true }))}</div>`;
   return html`<div class="take"><p>${reserved ? t('control.reserved', { name: reserved }) : t('control.nobody')}</p>
     ${!reserved && isUnnamed.value && html`<${YourName} />`}

@@ -1,0 +1,42 @@
+// Requests for control, which the gateway keeps for a minute.
+
+import { terms } from './commands.js';
+import { learn, rpc } from './store.js';
+
+const REPEATED_EVERY_MS = 20_000;
+
+/** Time after which a person no longer expects control. Then the request is not repeated. */
+const WAITS_MS = 10 * 60_000;
+
+/** The gateway's limit of a request that is not repeated. */
+const KEPT_MS = 60_000;
+
+/** Time of the newest look at each gripper. */
+const lookedAt = new WeakMap();
+
+/** Repeats this page's request for control, without a word to the user: events report its result. */
+async function repeat(one) {
+  const take = one.asking('lease');
+  const asked = { ...terms(one.controlRequest.as), gripper: one.name, request: true };
+  const lease = await rpc.call('lease.take', asked).catch(() => null);
+  if (!lease?.token) return;
+  take(lease);
+  one.own(lease);
+  one.isControlRequested.value = false;
+}
+
+/**
+ * To be called with each state of a gripper. On a hidden page, states arrive every second, but timers can run only once
+ * a minute.
+ */
+export function keepAsking(one) {
+  const now = performance.now();
+  if (now - (lookedAt.get(one) ?? -Infinity) < REPEATED_EVERY_MS) return;
+  lookedAt.set(one, now);
+  const waited = now - (one.controlRequest?.at ?? -Infinity);
+  if (waited >= WAITS_MS) one.isControlRequested.value = false;
+  if (waited >= WAITS_MS + KEPT_MS) one.controlRequest = null;
+  if (one.isControlRequested.peek()) repeat(one);
+  // No event reports that another client's request has ended.
+  else if (one.lease.peek()?.requested_by) learn(one);
+}
