@@ -167,13 +167,30 @@ test('FAST STOP of one gripper shows whether it is confirmed, and that it failed
   await page.click('.chip:has-text("right")');
   await page.click('#stop-one:has-text("right")');
   await page.waitForSelector('.stopped:has-text("FAST STOP confirmed (right).")');
-  assert.equal(await page.locator('.stopped:has-text("not yet confirmed by left")').count(), 1);
+  const unconfirmed = page.locator('.stopped:has-text("not yet confirmed by left")');
+  assert.equal(await unconfirmed.count(), 1);
+
+  // The result for all grippers includes each of them, until one has its own.
+  await page.keyboard.press('Escape');
+  await page.waitForFunction(() => document.querySelectorAll('.stopped').length === 1);
+  await unconfirmed.waitFor();
+  device.child.kill('SIGCONT');
+  await page.click('.chip:has-text("left")');
+  await until('left has confirmed', async () => {
+    await page.click('#stop-one:has-text("left")');
+    const confirmed = page.waitForSelector('.stopped:has-text("FAST STOP confirmed (left).")', { timeout: 1000 });
+    return confirmed.then(
+      () => true,
+      () => false,
+    );
+  });
+  assert.equal(await unconfirmed.count(), 0);
+
+  await page.click('.chip:has-text("right")');
   await served.kill();
   await page.waitForSelector('.alarm:has-text("No connection to the gateway")');
   await page.click('#stop-one');
   await page.waitForSelector('.stopped:has-text("right: FAST STOP did not get through")');
-  // The result for all grippers includes each of them.
   await page.keyboard.press('Escape');
-  await page.waitForFunction(() => document.querySelectorAll('.stopped').length === 1);
   await page.waitForSelector('.stopped:text-matches("^FAST STOP did not get through")');
 });

@@ -11,11 +11,11 @@ import { isOld } from '../model/version.js';
 import { onPress, Shape, whyOld } from './parts.js';
 import { go } from './route.js';
 
-/** Results of FAST STOPs, as texts, by the name of the gripper. */
+/** Results of FAST STOPs, `{text, isWrong, unconfirmed}`, by the name of the gripper, `HERE` or `FLEET`. */
 const results = signal(new Map());
-/** Stands for all grippers. */
-const ALL = '';
-/** The newest FAST STOP by gripper. Results of older ones are ignored. */
+/** All grippers of this gateway, and of all gateways. No gripper has such a name. */
+const [HERE, FLEET] = ['*', '**'];
+/** The newest FAST STOP of each. Results of older ones are ignored. */
 const newest = new Map();
 
 function change(whom, result) {
@@ -25,47 +25,66 @@ function change(whom, result) {
   results.value = changed;
 }
 
+const notConfirmed = (unconfirmed) => ({
+  text: t('stop.unconfirmed', { grippers: unconfirmed.join(', ') }),
+  isWrong: true,
+  unconfirmed,
+});
+
+/** Takes a gripper out of the result for all grippers, which an own FAST STOP has overtaken. */
+function noteConfirmed(name) {
+  const { unconfirmed = [] } = results.peek().get(HERE) ?? {};
+  if (!unconfirmed.includes(name)) return;
+  const others = unconfirmed.filter((other) => other !== name);
+  change(HERE, others.length === 0 ? null : notConfirmed(others));
+}
+
+/** Whether a FAST STOP of `whom` includes all of `other`. */
+const includes = (whom, other) => whom === other || whom === FLEET || (whom === HERE && other !== FLEET);
+
+function forgetWithin(whom) {
+  for (const other of newest.keys()) {
+    if (!includes(whom, other)) continue;
+    newest.delete(other);
+    change(other, null);
+  }
+}
+
 /** Time for which a confirmation is shown. */
 const CONFIRMATION_SHOWN_MS = 8000;
 
-/**
- * Shows the result of a FAST STOP, and the grippers that it reached. `whom` is a gripper's name or `ALL`, and `countText`
- * the key of the text with the number of all.
- */
-async function stopAndReport(send, whom, countText = null) {
+/** Shows the result of a FAST STOP of `whom`. `allText` names the number of all grippers that it reached. */
+async function stopAndReport(send, whom, allText = null) {
   const mine = {};
   const report = (result) => {
     if (newest.get(whom) === mine) change(whom, result);
   };
+  const of = allText === null ? `${whom}: ` : '';
   // The request is sent before the page changes.
   const sent = send();
-  if (whom === ALL) {
-    // Its result includes every gripper.
-    newest.clear();
-    results.value = new Map();
-  }
+  forgetWithin(whom);
   newest.set(whom, mine);
-  report({ text: t('stop.sent') });
+  report({ text: of + t('stop.sent') });
   try {
     // The answer for one gripper names it, and has no lists.
     const { fast_stop_confirmed: isConfirmed, gripper: name, confirmed, unconfirmed = [name] } = await sent;
-    const text = isConfirmed
-      ? t('stop.confirmed', { reach: name ?? t(countText, { count: confirmed.length }) })
-      : t('stop.unconfirmed', { grippers: unconfirmed.join(', ') });
-    const isPart = countText === 'stop.here_count' && hasOthers.peek();
-    report({ text: isPart ? `${text} ${t('stop.not_others')}` : text, isWrong: !isConfirmed });
+    if (isConfirmed && allText === null) noteConfirmed(whom);
+    const result = isConfirmed
+      ? { text: t('stop.confirmed', { reach: name ?? t(allText, { count: confirmed.length }) }) }
+      : notConfirmed(unconfirmed);
+    const isPart = whom === HERE && hasOthers.peek() && !results.peek().has(FLEET);
+    report(isPart ? { ...result, text: `${result.text} ${t('stop.not_others')}` } : result);
     if (isConfirmed) setTimeout(() => report(null), CONFIRMATION_SHOWN_MS);
   } catch (problem) {
-    const text = t('stop.failed', { why: ofProblem(problem) });
-    report({ text: whom === ALL ? text : `${whom}: ${text}`, isWrong: true });
+    report({ text: of + t('stop.failed', { why: ofProblem(problem) }), isWrong: true });
   }
 }
 
-export const stop = () => stopAndReport(fastStop, ALL, 'stop.here_count');
+export const stop = () => stopAndReport(fastStop, HERE, 'stop.here_count');
 
 export const stopOne = (one) => stopAndReport(() => fastStopOne(one), one.name);
 
-export const stopFleet = () => stopAndReport(fastStopFleet, ALL, 'stop.fleet_count');
+export const stopFleet = () => stopAndReport(fastStopFleet, FLEET, 'stop.fleet_count');
 
 const STOP_KEYS = ['Escape', 'Pause'];
 
@@ -187,7 +206,7 @@ export function Bar({ notices }) {
     <div class="results">${[...results.value].map(
       ([whom, { text, isWrong }]) => html`<p key=${whom} class=${`stopped ${isWrong ? 'tone-critical' : ''}`}
         role="status">${text}
-      <button type="button" class="quiet" aria-label=${`${t('close')}: ${t('state.FAST_STOP')}`}
+      <button type="button" class="quiet" aria-label=${`${t('close')}: ${text}`}
         onClick=${() => change(whom, null)}>${t('close')}</button></p>`,
     )}</div>
   </header>`;
