@@ -87,7 +87,7 @@ test('settings are read again when a device returns, and a new tag is shown ever
   await page.waitForSelector('section[aria-labelledby=device-title] dd:has-text("cell 7")');
   assert.equal(await page.inputValue('#tag'), 'cell 7');
   device.child.kill('SIGSTOP');
-  await page.waitForSelector('.status:has-text("not responding"), .status:has-text("reconnecting")');
+  await page.waitForSelector('.alarm-badge:has-text("1 alarm")');
   const before = reads;
   device.child.kill('SIGCONT');
   await until('the settings are read again', () => reads > before);

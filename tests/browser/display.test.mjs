@@ -78,9 +78,6 @@ test('a late answer does not overwrite that of a newer filter', async () => {
     await held;
     await route.fulfill({ response });
   });
-  // The page reloads the history shortly after an event, possibly with another filter.
-  await served.ask('POST', 'grippers/left/lease', { holder: 'Cleo', ttl_ms: 60_000 });
-  await page.waitForSelector('.bar:has-text("Cleo")');
   const asked = page.waitForRequest('**/grips?**kind=move**');
   await page.selectOption('#kind', 'move');
   const late = await asked;
@@ -95,6 +92,7 @@ test('a late answer does not overwrite that of a newer filter', async () => {
       return rows.length === 1 && rows[0].innerText.includes(wanted);
     }, word);
   await only('Home');
+  await served.ask('PUT', 'grippers/left/settings/acceleration', { acceleration_mm_s2: 900 });
   await until('the event causes a reload', () => looks.length >= 2);
   await only('Home');
   letGo();

@@ -99,20 +99,19 @@ export function History({ one }) {
   const shown = what.value;
   const address = `${shown}?${query(asked)}`;
   const asking = useMemo(ordered, []);
-  /** Addresses of the newest choice, of the records in the list, and of an older page that is being read. */
-  const [chosen, listed, extended] = [useRef(address), useRef(null), useRef(null)];
+  /** Addresses of the newest choice and of the records in the list, and the older page that is being read. */
+  const [chosen, listed, older] = [useRef(address), useRef(null), useRef(null)];
   chosen.current = address;
   // A list with older pages is not reloaded, so that it stays in place.
-  const isKept = () => extended.current === address || (listed.current === address && list.peek().length > PAGE);
-  const load = async (cursor = null) => {
+  const isKept = () => listed.current === address && (older.current !== null || list.peek().length > PAGE);
+  const load = async () => {
     const isNewest = asking();
     // The choice of records can have changed, and is not rendered yet.
-    const isWanted = () =>
-      address === chosen.current && shown === what.peek() && (cursor !== null || !isKept()) && isNewest();
+    const isWanted = () => address === chosen.current && shown === what.peek() && !isKept() && isNewest();
     try {
-      const page = await get(`${address}&${query({ limit: PAGE, cursor })}`);
+      const page = await get(`${address}&${query({ limit: PAGE })}`);
       if (!isWanted()) return;
-      list.value = cursor ? [...list.peek(), ...page[shown]] : page[shown];
+      list.value = page[shown];
       listed.current = address;
       next.value = page.next_cursor;
       problem.value = null;
@@ -121,21 +120,34 @@ export function History({ one }) {
     }
   };
   const loadOlder = async () => {
-    if (extended.current === address) return;
-    extended.current = address;
-    await load(next.peek());
-    if (extended.current === address) extended.current = null;
+    // Until the first page is there, the list and its cursor belong to an earlier choice.
+    if (listed.current !== address || older.current !== null) return;
+    const mine = {};
+    older.current = mine;
+    const isWanted = () => older.current === mine;
+    try {
+      const page = await get(`${address}&${query({ limit: PAGE, cursor: next.peek() })}`);
+      if (!isWanted()) return;
+      list.value = [...list.peek(), ...page[shown]];
+      next.value = page.next_cursor;
+      problem.value = null;
+    } catch (refused) {
+      if (isWanted()) problem.value = refused;
+    }
+    if (isWanted()) older.current = null;
   };
+  useEffect(() => {
+    older.current = null;
+    numbers.value = null;
+  }, [address]);
   useEffect(() => {
     if (isLive.peek() && !isKept()) load();
   }, [address, journalChanges.value, isLive.value]);
-  useEffect(() => {
-    numbers.value = null;
-  }, [address]);
   const choose = (name) => {
     what.value = name;
     kind.value = '';
     list.value = [];
+    listed.current = older.current = null;
   };
   const pick = (grip) => {
     const others = picked.peek().filter(({ id }) => id !== grip.id);
