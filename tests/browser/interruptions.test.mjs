@@ -342,6 +342,15 @@ test('a short silence is shown, a longer one is an alarm', async () => {
   assert.ok(await shows('.jaws-panel .cover:has-text("The gateway is not responding")'), 'still the same connection');
 });
 
+test('a page that was busy keeps its connection', async () => {
+  const { page, line, live } = await paused();
+  const { subscribed } = line;
+  // Timers that are overdue run once.
+  await page.clock.fastForward(6000);
+  await live();
+  assert.equal(line.subscribed, subscribed);
+});
+
 test('a new connection without messages is still lost', async () => {
   const { page, line, shows, passes, live } = await paused();
   const lost = '.jaws-panel .cover:has-text("No connection to the gateway")';

@@ -26,10 +26,9 @@ const ASKED_EVERY_MS = 500;
 const LOOKED_EVERY_MS = 200;
 
 /**
- * Number of consecutive looks that must find silence before the page raises an alarm: about 2 s on a visible page. A
- * shorter silence is only shown, because the page itself or its computer may have been busy.
+ * Consecutive looks that must find silence before the page acts on it, about 2 s on a visible page: it may have been busy.
  */
-const ALARMED_AFTER_LOOKS = 4;
+const ACTS_AFTER_LOOKS = 4;
 
 /** Silence after which the connection is replaced. */
 const RENEWED_AFTER_MS = 4000;
@@ -61,9 +60,9 @@ const isHidden = signal(document.hidden);
 const byName = new Map();
 /** Time at which the connection was opened. */
 let openedAt = -Infinity;
-/** Time of the newest message on this connection. */
+/** Time of its newest message. */
 let lastHeard = -Infinity;
-/** Number of consecutive looks that have found silence. */
+/** Number of consecutive looks that have found no live connection. */
 let silentLooks = 0;
 let isDirty = false;
 let shownAt = 0;
@@ -212,18 +211,19 @@ function look() {
   const at = performance.now();
   const silence = at - lastHeard;
   const next = connectionAfter(connection.peek(), rpc.isOpen, silence);
-  silentLooks = next === 'silent' ? silentLooks + 1 : 0;
+  silentLooks = next === 'live' ? 0 : silentLooks + 1;
+  const isSure = silentLooks >= ACTS_AFTER_LOOKS;
   batch(() => {
     if (next !== connection.peek()) {
       connection.value = next;
       if (next !== 'live') byName.forEach((one) => one.samples.gap());
     }
-    noteGateway(next === 'lost' || silentLooks >= ALARMED_AFTER_LOOKS);
+    noteGateway(next === 'lost' || (next === 'silent' && isSure));
     if (next === 'live') heardAt.value = Date.now() - silence;
     const second = Math.floor(Date.now() / 1000) * 1000;
     if (second !== now.peek()) now.value = second;
   });
-  if (rpc.isOpen && at - Math.max(lastHeard, openedAt) > RENEWED_AFTER_MS) rpc.renew();
+  if (isSure && rpc.isOpen && at - Math.max(lastHeard, openedAt) > RENEWED_AFTER_MS) rpc.renew();
 }
 
 setInterval(look, LOOKED_EVERY_MS);
