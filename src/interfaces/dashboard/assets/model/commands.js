@@ -64,7 +64,7 @@ export const terms = (holder = myName.peek()) => ({
 export async function takeControl(one, { force = false, request = false, holder = myName.peek() } = {}) {
   // Set before the request, because control can be handed over before the answer arrives.
   if (request) {
-    one.controlRequest = { as: holder, at: performance.now() };
+    one.controlRequest = { as: holder, at: performance.now(), epoch: one.newest.lease_epoch };
     one.isControlRequested.value = true;
   }
   const take = one.asking('lease');
@@ -79,6 +79,8 @@ export async function takeControl(one, { force = false, request = false, holder 
     one.problem.value = { code: 'lease_asked', holder: lease.requested_by, detail: '' };
   }
   if (!isFirst) one.isControlRequested.value = false;
+  // Without an answer, the request can have reached the gateway.
+  if (lease === null && one.problem.peek()?.code !== 'no_connection') one.controlRequest = null;
   return lease;
 }
 

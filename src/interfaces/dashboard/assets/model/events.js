@@ -44,16 +44,18 @@ function takeLoss({ event, holder, epoch, cause }, one) {
   if (event === 'lost' && epoch === one.epoch) one.loseControl(cause === 'forbidden' ? cause : 'expired');
 }
 
-/** Ends the wait for control, and takes control if it was handed over to this page. */
-function takeAnswer({ event, holder }, one) {
-  if (event === 'requested') return;
+/** Ends this page's wait for control, and takes control if it was handed over to this page. */
+function takeAnswer({ event, holder, epoch }, one) {
+  // An event from before the request, or one that leaves the requests in their queue.
+  if (epoch < one.controlRequest?.epoch || !['handed_over', 'released', 'lost'].includes(event)) return;
   one.isControlRequested.value = false;
-  takeHandedOver(one, event === 'handed_over' ? holder : null);
+  if (event === 'handed_over') takeHandedOver(one, holder);
+  else one.controlRequest = null;
 }
 
 /** Takes control as `holder`, if that is the name under which this page has asked for it. */
 async function takeHandedOver(one, holder) {
-  if (holder === null || holder !== one.controlRequest?.as) return;
+  if (holder !== one.controlRequest?.as) return;
   one.controlRequest = null;
   await takeControl(one, { holder });
 }
