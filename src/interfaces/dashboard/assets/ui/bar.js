@@ -1,129 +1,15 @@
 // The permanent bar: link, state, holder of control, alarms, and STOP.
 
-import { html, signal } from '../lib.js';
+import { html } from '../lib.js';
 import { isOpen, PRIORITIES } from '../core/alarms.js';
 import { alarms } from '../model/alarms.js';
-import { ofProblem, t, time } from '../model/i18n.js';
-import { fastStop, fastStopFleet, fastStopOne } from '../model/commands.js';
+import { t, time } from '../model/i18n.js';
 import { mustSignIn } from '../model/me.js';
-import { connection, gripper, grippers, hasOthers, heardAt, isLive, selected } from '../model/store.js';
+import { connection, gripper, grippers, heardAt, isLive, selected } from '../model/store.js';
 import { isOld } from '../model/version.js';
-import { onPress, Shape, whyOld } from './parts.js';
+import { Shape, whyOld } from './parts.js';
 import { go } from './route.js';
-
-/** Results of FAST STOPs, `{text, isWrong, unconfirmed}`, by the name of the gripper, `HERE` or `FLEET`. */
-const results = signal(new Map());
-/** All grippers of this gateway, and of all gateways. No gripper has such a name. */
-const [HERE, FLEET] = ['*', '**'];
-/** The newest FAST STOP of each. Results of older ones are ignored. */
-const newest = new Map();
-
-function change(whom, result) {
-  const changed = new Map(results.peek());
-  if (result === null) changed.delete(whom);
-  else changed.set(whom, result);
-  results.value = changed;
-}
-
-const notConfirmed = (unconfirmed) => ({
-  text: t('stop.unconfirmed', { grippers: unconfirmed.join(', ') }),
-  isWrong: true,
-  unconfirmed,
-});
-
-/** Takes a gripper out of the result for all grippers, which an own FAST STOP has overtaken. */
-function noteConfirmed(name) {
-  const { unconfirmed = [] } = results.peek().get(HERE) ?? {};
-  if (!unconfirmed.includes(name)) return;
-  const others = unconfirmed.filter((other) => other !== name);
-  change(HERE, others.length === 0 ? null : notConfirmed(others));
-}
-
-/** Whether a FAST STOP of `whom` includes all of `other`. */
-const includes = (whom, other) => whom === other || whom === FLEET || (whom === HERE && other !== FLEET);
-
-function forgetWithin(whom) {
-  for (const other of newest.keys()) {
-    if (!includes(whom, other)) continue;
-    newest.delete(other);
-    change(other, null);
-  }
-}
-
-/** Time for which a confirmation is shown. */
-const CONFIRMATION_SHOWN_MS = 8000;
-
-/** Shows the result of a FAST STOP of `whom`. `allText` names the number of all grippers that it reached. */
-async function stopAndReport(send, whom, allText = null) {
-  const mine = {};
-  const report = (result) => {
-    if (newest.get(whom) === mine) change(whom, result);
-  };
-  const of = allText === null ? `${whom}: ` : '';
-  // The request is sent before the page changes.
-  const sent = send();
-  forgetWithin(whom);
-  newest.set(whom, mine);
-  report({ text: of + t('stop.sent') });
-  try {
-    // The answer for one gripper names it, and has no lists.
-    const { fast_stop_confirmed: isConfirmed, gripper: name, confirmed, unconfirmed = [name] } = await sent;
-    if (isConfirmed && allText === null) noteConfirmed(whom);
-    const result = isConfirmed
-      ? { text: t('stop.confirmed', { reach: name ?? t(allText, { count: confirmed.length }) }) }
-      : notConfirmed(unconfirmed);
-    const isPart = whom === HERE && hasOthers.peek() && !results.peek().has(FLEET);
-    report(isPart ? { ...result, text: `${result.text} ${t('stop.not_others')}` } : result);
-    if (isConfirmed) setTimeout(() => report(null), CONFIRMATION_SHOWN_MS);
-  } catch (problem) {
-    report({ text: of + t('stop.failed', { why: ofProblem(problem) }), isWrong: true });
-  }
-}
-
-export const stop = () => stopAndReport(fastStop, HERE, 'stop.here_count');
-
-export const stopOne = (one) => stopAndReport(() => fastStopOne(one), one.name);
-
-export const stopFleet = () => stopAndReport(fastStopFleet, FLEET, 'stop.fleet_count');
-
-const STOP_KEYS = ['Escape', 'Pause'];
-
-/** Keys that are down. */
-const down = new Set();
-
-/** Escape and Pause work in any view, also while the user types. */
-addEventListener(
-  'keydown',
-  (event) => {
-    if (!STOP_KEYS.includes(event.key)) return;
-    event.preventDefault();
-    down.add(event.key);
-    if (!event.repeat) stop();
-  },
-  { capture: true },
-);
-
-// An open list consumes the `keydown` event, so the page gets only the `keyup` event.
-addEventListener(
-  'keyup',
-  ({ key }) => {
-    if (STOP_KEYS.includes(key) && !down.delete(key)) stop();
-  },
-  { capture: true },
-);
-// The `keyup` event can go to another window.
-addEventListener('blur', () => down.clear());
-
-function Stop() {
-  const count = grippers.value.length;
-  return html`<div class="stop-place">
-    <button type="button" class="stop" id="stop" ...${onPress(stop)} aria-describedby="stop-note">
-      <span class="stop-word">${t('stop.word')}</span><span
-          class="stop-scope">${count === 0 ? t('stop.here') : t('stop.here_count', { count })} <kbd>Esc</kbd></span>
-    </button>
-    <p class="stop-note" id="stop-note">${t('stop.not')}</p>
-  </div>`;
-}
+import { Results, Stop } from './stop.js';
 
 function Item({ label, shape, text, tone = '' }) {
   return html`<div class=${`status ${tone}`}><span class="status-label">${label}</span><span class="status-text">
@@ -203,12 +89,7 @@ export function Bar({ notices }) {
         onClick=${() => location.reload()}>${t('reload')}</button></p>`
     }
     ${notices && html`<${notices} />`}
-    <div class="results">${[...results.value].map(
-      ([whom, { text, isWrong }]) => html`<p key=${whom} class=${`stopped ${isWrong ? 'tone-critical' : ''}`}
-        role="status">${text}
-      <button type="button" class="quiet" aria-label=${`${t('close')}: ${text}`}
-        onClick=${() => change(whom, null)}>${t('close')}</button></p>`,
-    )}</div>
+    <${Results} />
   </header>`;
 }
 

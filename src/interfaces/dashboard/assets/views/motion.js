@@ -8,9 +8,9 @@ import { askFreely, move, releaseControl, takeControl } from '../model/commands.
 import { isUnnamed, MAX_NAME_BYTES, myName, rename } from '../model/name.js';
 import { openTo } from '../model/prefs.js';
 import { isLive } from '../model/store.js';
-import { stopOne } from '../ui/bar.js';
 import { Covered, MAX_PART_BYTES, onPress, Panel, Shape, within } from '../ui/parts.js';
 import { hasFailed } from '../ui/result.js';
+import { stopOne } from '../ui/stop.js';
 import { NumberField } from './fields.js';
 import { JogPanel } from './jog.js';
 import { Latch } from './latch.js';

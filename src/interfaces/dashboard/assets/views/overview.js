@@ -5,9 +5,9 @@ import { numbered } from '../core/newest.js';
 import { fixed, plain, span, t } from '../model/i18n.js';
 import { get } from '../net/rest.js';
 import { fleet, grippers, hasOthers, isLive, selected } from '../model/store.js';
-import { stopFleet } from '../ui/bar.js';
 import { onPress, Panel, Shape, whyOld } from '../ui/parts.js';
 import { go } from '../ui/route.js';
+import { stopFleet } from '../ui/stop.js';
 
 const ASKED_EVERY_MS = 2000;
 
