@@ -22,7 +22,6 @@ async function repeat(one) {
   if (!lease?.token) return;
   take(lease);
   one.own(lease);
-  one.isControlRequested.value = false;
 }
 
 /**
@@ -36,7 +35,8 @@ export function keepAsking(one) {
   const waited = now - (one.controlRequest?.at ?? -Infinity);
   if (waited >= WAITS_MS) one.isControlRequested.value = false;
   if (waited >= WAITS_MS + KEPT_MS) one.controlRequest = null;
-  if (one.isControlRequested.peek()) repeat(one);
+  // Without a holder, a request would take control at once, although the user may be away.
+  if (one.isControlRequested.peek() && one.newest.lease_holder !== null) repeat(one);
   // No event reports that another client's request has ended.
   else if (one.lease.peek()?.requested_by) learn(one);
 }

@@ -78,9 +78,9 @@ export async function takeControl(one, { force = false, request = false, holder 
   if (lease?.place && !isFirst) {
     one.problem.value = { code: 'lease_asked', holder: lease.requested_by, detail: '' };
   }
-  if (!isFirst) one.isControlRequested.value = false;
+  if (request && !isFirst) one.isControlRequested.value = false;
   // Without an answer, the request can have reached the gateway.
-  if (lease === null && one.problem.peek()?.code !== 'no_connection') one.controlRequest = null;
+  if (request && lease === null && one.problem.peek()?.code !== 'no_connection') one.controlRequest = null;
   return lease;
 }
 

@@ -112,7 +112,10 @@ export class Gripper {
   own(lease) {
     this.held.value = lease && { token: lease.token, epoch: lease.epoch };
     this.epoch = lease?.epoch ?? null;
-    if (lease) this.lostControl.value = this.controlRequest = null;
+    if (!lease) return;
+    this.lostControl.value = null;
+    this.controlRequest = null;
+    this.isControlRequested.value = false;
   }
 
   /** Notes how this page lost control, if the page had it. */
