@@ -43,6 +43,8 @@ test('a widget is shown alone, in a frame of a configured page', async () => {
   const alone = await visit(launched, served, { path: '/?view=jaws#/right' });
   await alone.page.waitForSelector('.widget .jaws-panel');
   assert.equal(await alone.page.locator('#stop, .navigation, #take-control').count(), 0);
+  await alone.page.keyboard.press('Escape');
+  await alone.page.waitForSelector('.stopped:has-text("FAST STOP confirmed")');
   await alone.page.goto(`${served.url}/?view=alarms`);
   await alone.page.waitForSelector('.widget .alarms-panel');
   assertClean(alone);

@@ -12,6 +12,7 @@ import { keepFocus } from './ui/focus.js';
 import { Choice, within } from './ui/parts.js';
 import { go, start } from './ui/route.js';
 import { SignedIn, SignIn } from './ui/signin.js';
+import { Results } from './ui/stop.js';
 
 function Views() {
   if (mustSignIn.value) return null;
@@ -130,7 +131,8 @@ function Footer() {
 
 function App() {
   const { Announcer, Notices } = later.value;
-  if (widget) return html`<${Missing} /><${Main} />`;
+  // A key stops from here too.
+  if (widget) return html`<${Missing} /><${Main} /><${Results} />`;
   return html`<a class="skip" href="#main"
       onClick=${(event) => {
         event.preventDefault();
