@@ -156,9 +156,16 @@ test('bytes are sent exactly as typed, and the device judges them', async () => 
   await send('32h SetForceLimit', '0x7fc00000');
   await page.waitForSelector('#answer:has-text("E_INVALID_PARAMETER")');
   // The gateway answers such reads itself for a while, but not these.
-  for (let count = 0; count < 2; count += 1) {
+  for (let shown = 0; shown < 2; ) {
     await send('50h GetSystemInfo', '');
-    await page.waitForSelector('#answer:has-text("E_SUCCESS") #editor-received');
+    const reply = page.waitForSelector('#answer:has-text("E_SUCCESS") #editor-received', { timeout: 5000 });
+    const isShown = await reply.then(
+      () => true,
+      () => false,
+    );
+    shown += isShown ? 1 : 0;
+    // A busy page misses frames, and says so.
+    assert.ok(isShown || (await page.locator('[data-row=gap]').count()) > 0);
   }
   await send('25h Grip', '1');
   await page.waitForSelector('.problem:has-text("25h cannot be sent with")');
