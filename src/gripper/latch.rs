@@ -112,7 +112,7 @@ pub(super) enum LatchChange {
     Seen { overtaken: Option<Token> },
     /// The flags confirm the latch.
     Confirmed,
-    /// The acknowledge has cleared the latch.
+    /// The acknowledgement has cleared the latch.
     Cleared,
 }
 
