@@ -5,7 +5,7 @@ import { isGrip } from '../core/kinds.js';
 import { takeControl } from './commands.js';
 import { noteJournalChange } from './journal.js';
 import { takeRecipeChange } from './recipes.js';
-import { learn, learnSettings, others, read, rpc } from './store.js';
+import { learn, learnSettings, others, read } from './store.js';
 
 /** Limit of the clients in `others`. */
 const MAX_OTHERS = 32;
@@ -76,7 +76,7 @@ export function catchUp(one) {
 async function catchUpAnswer(one) {
   const request = one.controlRequest;
   if (request === null) return;
-  const { holder, requested_by: asks } = await rpc.call('lease', { gripper: one.name });
+  const { holder, requested_by: asks } = await read('lease', one);
   if (asks !== request.as) one.isControlRequested.value = false;
   await takeHandedOver(one, holder);
 }

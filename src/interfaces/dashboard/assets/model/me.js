@@ -23,7 +23,7 @@ export async function recognize() {
 
 let isFirst = true;
 
-/** Asks after a new connection. The page itself has asked when it began, as its first connection did. */
+/** Asks again, but not for the first connection: the page itself asks when it begins. */
 export function recognizeAgain() {
   if (!isFirst) recognize();
   isFirst = false;

@@ -104,14 +104,12 @@ export function History({ one }) {
   chosen.current = address;
   // A list with older pages is not reloaded, so that it stays in place.
   const isKept = () => listed.current === address && (older.current !== null || list.peek().length > PAGE);
-  const load = async () => {
-    const isNewest = asking();
-    // The choice of records can have changed, and is not rendered yet.
-    const isWanted = () => address === chosen.current && shown === what.peek() && !isKept() && isNewest();
+  /** Reads the first page of the records, or the page at a cursor, and shows it if it is still wanted. */
+  const read = async (cursor, isWanted) => {
     try {
-      const page = await get(`${address}&${query({ limit: PAGE })}`);
+      const page = await get(`${address}&${query({ limit: PAGE, cursor })}`);
       if (!isWanted()) return;
-      list.value = page[shown];
+      list.value = cursor ? [...list.peek(), ...page[shown]] : page[shown];
       listed.current = address;
       next.value = page.next_cursor;
       problem.value = null;
@@ -119,21 +117,18 @@ export function History({ one }) {
       if (isWanted()) problem.value = refused;
     }
   };
+  const load = () => {
+    const isNewest = asking();
+    // The choice of records can have changed, and is not rendered yet.
+    read(null, () => address === chosen.current && shown === what.peek() && !isKept() && isNewest());
+  };
   const loadOlder = async () => {
     // Until the first page is there, the list and its cursor belong to an earlier choice.
     if (listed.current !== address || older.current !== null) return;
     const mine = {};
     older.current = mine;
     const isWanted = () => older.current === mine;
-    try {
-      const page = await get(`${address}&${query({ limit: PAGE, cursor: next.peek() })}`);
-      if (!isWanted()) return;
-      list.value = [...list.peek(), ...page[shown]];
-      next.value = page.next_cursor;
-      problem.value = null;
-    } catch (refused) {
-      if (isWanted()) problem.value = refused;
-    }
+    await read(next.peek(), isWanted);
     if (isWanted()) older.current = null;
   };
   useEffect(() => {
