@@ -3,7 +3,7 @@
 import assert from 'node:assert/strict';
 import { test } from 'node:test';
 
-import { assertClean, browser, controlled, gateway, homed, named, until, visit } from './harness.mjs';
+import { assertClean, browser, controlled, gateway, homed, named, rendered, until, visit } from './harness.mjs';
 
 const launched = await browser();
 
@@ -97,12 +97,7 @@ test('a late answer does not overwrite that of a newer filter', async () => {
   await only('Home');
   letGo();
   await (await late.response()).finished();
-  await page.evaluate(
-    () =>
-      new Promise((resolve) => {
-        requestAnimationFrame(() => setTimeout(resolve));
-      }),
-  );
+  await rendered(page);
   await only('Home');
 });
 

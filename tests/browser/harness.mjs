@@ -258,6 +258,24 @@ export async function stopped(page) {
   await page.waitForSelector('.notices[data-moved]', { state: 'detached' });
 }
 
+/** Waits until the page has rendered what its scripts have changed. */
+export function rendered(page) {
+  return page.evaluate(
+    () =>
+      new Promise((resolve) => {
+        requestAnimationFrame(() => setTimeout(resolve));
+      }),
+  );
+}
+
+/** Whether an element appears within a time. */
+export function appears(page, selector, timeout) {
+  return page.waitForSelector(selector, { timeout }).then(
+    () => true,
+    () => false,
+  );
+}
+
 /** Asserts no console messages, no exceptions and no requests to other hosts. */
 export function assertClean({ wrong }) {
   assert.deepEqual(wrong, []);

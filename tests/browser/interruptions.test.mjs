@@ -3,7 +3,18 @@
 import assert from 'node:assert/strict';
 import { test } from 'node:test';
 
-import { assertClean, browser, controlled, gateway, homed, named, simulator, until, visit } from './harness.mjs';
+import {
+  assertClean,
+  browser,
+  controlled,
+  gateway,
+  homed,
+  named,
+  rendered,
+  simulator,
+  until,
+  visit,
+} from './harness.mjs';
 
 const launched = await browser();
 
@@ -406,12 +417,7 @@ test('a short silence loses nothing that a person has typed or opened', async ()
   const before = await changes();
   await change(600);
   await until('the page knows of the change', async () => (await changes()) > before);
-  await page.evaluate(
-    () =>
-      new Promise((resolve) => {
-        requestAnimationFrame(() => setTimeout(resolve));
-      }),
-  );
+  await rendered(page);
   assert.equal(reloads, 0);
   assert.ok((await page.locator('tbody tr').count()) > 60, 'older pages stay');
   await page.click('[data-view=device]');

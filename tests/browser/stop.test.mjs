@@ -3,7 +3,18 @@
 import assert from 'node:assert/strict';
 import { test } from 'node:test';
 
-import { assertClean, browser, gateway, named, simulator, slowReads, until, visit } from './harness.mjs';
+import {
+  appears,
+  assertClean,
+  browser,
+  gateway,
+  named,
+  rendered,
+  simulator,
+  slowReads,
+  until,
+  visit,
+} from './harness.mjs';
 
 const launched = await browser();
 
@@ -144,12 +155,7 @@ test('the result of the newest STOP is shown', async () => {
   await page.click('#stop');
   await page.waitForSelector('.stopped:has-text("confirmed")');
   await ended;
-  await page.evaluate(
-    () =>
-      new Promise((resolve) => {
-        requestAnimationFrame(() => setTimeout(resolve));
-      }),
-  );
+  await rendered(page);
   assert.equal(await page.locator('.stopped:has-text("did not get through")').count(), 0);
 });
 
@@ -178,11 +184,7 @@ test('FAST STOP of one gripper shows whether it is confirmed, and that it failed
   await page.click('.chip:has-text("left")');
   await until('left has confirmed', async () => {
     await page.click('#stop-one:has-text("left")');
-    const confirmed = page.waitForSelector('.stopped:has-text("FAST STOP confirmed (left).")', { timeout: 1000 });
-    return confirmed.then(
-      () => true,
-      () => false,
-    );
+    return appears(page, '.stopped:has-text("FAST STOP confirmed (left).")', 1000);
   });
   assert.equal(await unconfirmed.count(), 0);
 

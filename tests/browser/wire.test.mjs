@@ -4,7 +4,7 @@ import assert from 'node:assert/strict';
 import { readFile } from 'node:fs/promises';
 import { test } from 'node:test';
 
-import { assertClean, browser, gateway, shoot, simulator, until, visit } from './harness.mjs';
+import { appears, assertClean, browser, gateway, shoot, simulator, until, visit } from './harness.mjs';
 
 const launched = await browser();
 
@@ -158,11 +158,7 @@ test('bytes are sent exactly as typed, and the device judges them', async () => 
   // The gateway answers such reads itself for a while, but not these.
   for (let shown = 0; shown < 2; ) {
     await send('50h GetSystemInfo', '');
-    const reply = page.waitForSelector('#answer:has-text("E_SUCCESS") #editor-received', { timeout: 5000 });
-    const isShown = await reply.then(
-      () => true,
-      () => false,
-    );
+    const isShown = await appears(page, '#answer:has-text("E_SUCCESS") #editor-received', 5000);
     shown += isShown ? 1 : 0;
     // A busy page misses frames, and says so.
     assert.ok(isShown || (await page.locator('[data-row=gap]').count()) > 0);
