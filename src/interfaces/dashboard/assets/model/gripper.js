@@ -47,7 +47,7 @@ export class Gripper {
     this.held = signal(null);
     /** Whether this page waits for control. */
     this.isControlRequested = signal(false);
-    /** Newest request of this page for control, also if it is not the first in the queue: `{as, at, epoch}`, or null. */
+    /** Newest request of this page for control, even if it is not the first in the queue: `{as, at, epoch}`. */
     this.controlRequest = null;
     /** Epoch of the lease that this page took and has not given up; null without one. */
     this.epoch = null;

@@ -26,7 +26,7 @@ const ASKED_EVERY_MS = 500;
 const LOOKED_EVERY_MS = 200;
 
 /**
- * Consecutive looks that must find silence before the page acts on it, about 2 s on a visible page: it may have been busy.
+ * Consecutive looks that must find silence before the page acts on it: about 2 s on a visible page, which may be busy.
  */
 const ACTS_AFTER_LOOKS = 4;
 

@@ -7,8 +7,8 @@ import { find, grippers, hasOthers } from '../model/store.js';
 import { onPress } from './parts.js';
 
 /**
- * Results of FAST STOPs by the name of the gripper, `HERE` or `FLEET`: `{text, isWrong, note}`, with the `id` of a FAST STOP
- * that grippers have not confirmed, and their names as `unconfirmed`.
+ * Results of FAST STOPs by the name of the gripper, `HERE` or `FLEET`: `{text, isWrong, note}`, with the `id` of a FAST
+ * STOP that grippers have not confirmed, and their names as `unconfirmed`.
  */
 const results = signal(new Map());
 /** All grippers of this gateway, and of all gateways. No gripper has such a name. */
