@@ -215,6 +215,12 @@ pub fn is_custom(id: u8) -> bool {
     describe(id).is_none()
 }
 
+/// Whether `id` can move the fingers.
+#[must_use]
+pub fn is_motion_or_script(id: u8) -> bool {
+    is_motion(id) || is_custom(id)
+}
+
 /// Whether `id` supports automatic updates (`fw4-en 3.4.1`).
 #[must_use]
 pub const fn has_updates(id: u8) -> bool {

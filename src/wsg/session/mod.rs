@@ -9,9 +9,10 @@
 //!
 //! # Guarantees
 //!
-//! - At most one request per id is in flight.
+//! - At most one request per id is in flight. Only a Stop or FAST STOP does not wait for an earlier one if a motion, a
+//!   script or an acknowledgement was written between them.
 //! - FAST STOP is written before Stop, and Stop before all others. Frames are handed out one by one, so a stop waits at
-//!   most for the frame being written.
+//!   most for the frame being written, and for the reply to an earlier stop that stops the same motion.
 //! - No motion or script is written while an earlier Stop waits to be written, because the Stop would stop it. For the
 //!   same reason, no acknowledgement is written while a FAST STOP waits.
 //! - Every request ends exactly once, with a reply or at its deadline, unless it is withdrawn before it was written.
@@ -25,6 +26,7 @@
 //! Architecture invariant: a request is written at most once. The session repeats only its own Loop.
 
 mod barrier;
+mod config;
 mod lanes;
 mod received;
 mod slots;
@@ -36,13 +38,10 @@ use super::frame::{self, ChecksumEvaluation, Decoder, DecoderCounters};
 use super::reply::{Data, InvalidReply, Reply};
 use super::{Command, id};
 use barrier::Barrier;
+pub use config::{MAX_LINE_TIME_WHILE_MOVING, SessionConfig};
 use lanes::{Lanes, Waiting};
 pub use lanes::{MAX_WAITING, MAX_WAITING_PER_ID};
 use slots::{Closed, InFlight, SlotState, Slots};
-
-/// Longest line time of a request while the fingers may move, because a FAST STOP has to wait for that request.
-/// Requests no longer than a motion are exempt.
-pub const MAX_LINE_TIME_WHILE_MOVING: Duration = Duration::from_millis(100);
 
 /// Time limit for the result of a stopped motion. The manual does not promise one (`fw4-en 3.2.3`).
 pub const ABORT_GRACE: Duration = Duration::from_millis(250);
@@ -64,50 +63,8 @@ pub const PROBE_AFTER: Duration = Duration::from_millis(500);
 /// The same while the fingers may move on one of the slowest lines: longer than the period of its updates.
 const LONG_PROBE_AFTER: Duration = Duration::from_millis(1250);
 
-/// Size in bytes of the longest motion frame: flags and two floats. At 1200 baud, even this frame takes more than
-/// [`MAX_LINE_TIME_WHILE_MOVING`].
-const SHORT_FRAME_BYTES: usize = frame::OVERHEAD_BYTES + 9;
-
 /// Payload size of the longest automatic update: a status and four bytes.
 const LONGEST_UPDATE_BYTES: usize = 6;
-
-/// Link parameters of a session.
-#[derive(Debug, Clone)]
-pub struct SessionConfig {
-    /// Line rate in bytes per second, or `None` if it does not matter, as for TCP.
-    pub bytes_per_second: Option<u32>,
-    /// Time limit from the first to the last byte of a frame, beyond its line time.
-    pub frame_gap: Duration,
-    /// Whether the link can duplicate frames. If so, an answered id stays closed while a duplicate is
-    /// awaited.
-    pub may_duplicate: bool,
-    /// Seed that makes this session's nonces differ from those of earlier sessions.
-    pub nonce_seed: u64,
-}
-
-impl SessionConfig {
-    fn line_time(&self, bytes: usize) -> Duration {
-        self.bytes_per_second.map_or(Duration::ZERO, |bytes_per_second| {
-            Duration::from_secs_f64(bytes as f64 / f64::from(bytes_per_second.max(1)))
-        })
-    }
-
-    fn line_time_of(&self, command: &Command) -> Duration {
-        if self.bytes_per_second.is_none() {
-            return Duration::ZERO;
-        }
-        let mut frame = Vec::new();
-        command.encode(&mut frame);
-        self.line_time(frame.len())
-    }
-
-    /// Whether a FAST STOP would wait too long for this request. Short frames are never too long: without them, the gateway
-    /// could not read that the fingers have stopped.
-    fn is_too_long(&self, command: &Command) -> bool {
-        let line_time = self.line_time_of(command);
-        line_time > MAX_LINE_TIME_WHILE_MOVING && line_time > self.line_time(SHORT_FRAME_BYTES)
-    }
-}
 
 /// Handle of a request until it ends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -208,6 +165,8 @@ pub struct Session {
     round_trip: Option<Duration>,
     /// Ids that have received a reply without a request, so that others can follow.
     repeated: BTreeSet<u8>,
+    /// Order of the newest motion, script or acknowledgement written. A stop before it does not stop what it began.
+    newest_start: Option<u64>,
     next_token: u64,
     moving: bool,
     last_heard: Instant,
@@ -230,6 +189,7 @@ impl Session {
             counters: Counters::default(),
             round_trip: None,
             repeated: BTreeSet::new(),
+            newest_start: None,
             next_token: 0,
             moving: false,
             last_heard: now,
@@ -252,7 +212,7 @@ impl Session {
         }
         let token = Token(self.next_token);
         let deadline = now + request.reply_within + line_time;
-        // A Stop is written only after the Stop in flight has ended, so its own deadline comes after that one's.
+        // A Stop can wait for the end of the Stop in flight, so its own deadline comes after that one's.
         let before = self.slots.in_flight().find(|(id, _)| *id == id::STOP && request.command == Command::Stop);
         let deadline = before.map_or(deadline, |(_, before)| deadline.max(before.deadline + request.reply_within));
         self.lanes.push(Waiting { token, request, deadline })?;
@@ -321,14 +281,15 @@ impl Session {
             let command = &waiting.request.command;
             let id = command.id();
             let is_after_stop = first_stop.is_some_and(|stop| stop < waiting.token);
-            self.slots.is_open(id)
+            let is_stop = matches!(command, Command::Stop | Command::FastStop);
+            (self.slots.is_open(id) || is_stop && self.slots.admit_another(id, self.newest_start))
                 && !(loop_busy && id == id::LOOP)
-                && !(is_after_stop && (id::is_motion(id) || id::is_custom(id)))
+                && !(is_after_stop && id::is_motion_or_script(id))
                 && !(fast_stop_waits && id == id::ACKNOWLEDGE_FAST_STOP)
                 // The fingers may have begun to move since the request was taken.
                 && !(may_move && self.config.is_too_long(command))
                 // Only a stop may still be written after its deadline, as when the process was frozen.
-                && (waiting.deadline > now || matches!(command, Command::Stop | Command::FastStop))
+                && (waiting.deadline > now || is_stop)
         };
         if let Some(waiting) = self.lanes.pop_urgent(is_open) {
             self.write(now, waiting, out);
@@ -418,6 +379,9 @@ impl Session {
             Command::FastStop => Duration::ZERO,
             _ => self.round_trip_line_time(out.len() - before, command.id()),
         };
+        if id::is_motion_or_script(command.id()) || command.id() == id::ACKNOWLEDGE_FAST_STOP {
+            self.newest_start = Some(self.counters.frames_sent);
+        }
         let echo = if let Command::Loop(data) = &command { Some(data.as_bytes().to_vec()) } else { None };
         let in_flight = InFlight {
             token: waiting.token,

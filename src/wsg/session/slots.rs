@@ -1,9 +1,13 @@
-//! State of each id: one request in flight, or closed after a timeout until no late reply can arrive.
+//! State of each id: one request in flight, or a few of a Stop or FAST STOP, or closed after a timeout until no late
+//! reply can arrive.
 
 use std::time::Instant;
 
 use super::{Token, barrier::LoopGeneration};
 use crate::wsg::{Data, Reply, Status, id};
+
+/// Limit of Stops, and of FAST STOPs, in flight. It bounds the memory if the device answers none.
+const MAX_STOPS_IN_FLIGHT: usize = 8;
 
 /// An id that is not open.
 #[derive(Debug)]
@@ -95,13 +99,20 @@ impl InFlight {
     }
 }
 
-/// All ids that are not open. Few at a time, so a list is faster than a map; never more than 256.
+/// All ids that are not open. Few at a time, so a list is faster than a map; never more than 270.
 #[derive(Debug, Default)]
 pub(super) struct Slots(Vec<Slot>);
 
 impl Slots {
     pub(super) fn is_open(&self, id: u8) -> bool {
         !self.0.iter().any(|slot| slot.id == id)
+    }
+
+    /// Whether one more stop can be written beside those in flight, because all were written before the frame with the
+    /// order `start`, whose effect they do not stop.
+    pub(super) fn admit_another(&self, id: u8, start: Option<u64>) -> bool {
+        let mut stops = self.in_flight().filter(|(in_flight_id, _)| *in_flight_id == id);
+        stops.clone().count() < MAX_STOPS_IN_FLIGHT && stops.all(|(_, stop)| Some(stop.order) < start)
     }
 
     /// Whether the end of a motion is not known.
@@ -117,8 +128,11 @@ impl Slots {
         self.0.push(Slot { id, state: SlotState::InFlight(in_flight) });
     }
 
+    /// Ends the oldest request of this id. Only a Stop or FAST STOP can have more than one.
     pub(super) fn open(&mut self, id: u8) {
-        self.0.retain(|slot| slot.id != id);
+        if let Some(index) = self.0.iter().position(|slot| slot.id == id) {
+            self.0.remove(index);
+        }
     }
 
     pub(super) fn retain(&mut self, keep: impl FnMut(&mut Slot) -> bool) {
@@ -172,7 +186,7 @@ impl Slots {
         })
     }
 
-    pub(super) fn in_flight(&self) -> impl Iterator<Item = (u8, &InFlight)> {
+    pub(super) fn in_flight(&self) -> impl Iterator<Item = (u8, &InFlight)> + Clone {
         self.0.iter().filter_map(|slot| match &slot.state {
             SlotState::InFlight(in_flight) => Some((slot.id, in_flight)),
             SlotState::Closed(_) => None,

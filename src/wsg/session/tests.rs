@@ -330,9 +330,42 @@ fn script_before_a_stop_is_not_written_after_it() {
     rig.submit(Command::Stop);
     assert_eq!(rig.written(), NOTHING);
     rig.status(id::STOP, Status::E_SUCCESS);
-    assert_eq!(rig.written(), [id::STOP, 0xB0]);
-    rig.status(id::STOP, Status::E_SUCCESS);
-    assert_eq!(rig.written(), [id::STOP]);
+    assert_eq!(rig.written(), [id::STOP, 0xB0, id::STOP]);
+}
+
+#[test]
+fn unanswered_stop_does_not_delay_the_stop_of_a_later_start() {
+    let script = || Command::Custom(CustomCommand::new(0xB0, vec![1]).unwrap());
+    let acknowledge = (Command::FastStop, Command::AcknowledgeFastStop);
+    for (stop, start) in [(Command::Stop, grip()), (Command::Stop, script()), acknowledge] {
+        let (mut rig, id) = (Rig::new(), stop.id());
+        let first = rig.submit(stop.clone());
+        rig.written();
+        rig.submit(start.clone());
+        assert_eq!(rig.written(), [start.id()]);
+        let second = rig.submit(stop.clone());
+        assert_eq!(rig.written(), [id]);
+        rig.submit(stop.clone());
+        assert_eq!(rig.written(), NOTHING, "nothing has started since the second");
+        rig.status(id, Status::E_SUCCESS);
+        assert_eq!(rig.events(), [SessionEvent::Ended(first, done())]);
+        assert_eq!(rig.written(), NOTHING);
+        rig.status(id, Status::E_SUCCESS);
+        assert_eq!(rig.events(), [SessionEvent::Ended(second, done())]);
+        assert_eq!(rig.written(), [id]);
+    }
+}
+
+#[test]
+fn unanswered_stops_are_bounded() {
+    let mut rig = Rig::new();
+    for _ in 0..20 {
+        rig.submit(Command::Stop);
+        rig.submit(Command::AcknowledgeFastStop);
+        rig.written();
+        rig.status(id::ACKNOWLEDGE_FAST_STOP, Status::E_SUCCESS);
+    }
+    assert_eq!(rig.session.slots.in_flight().count(), 8);
 }
 
 #[test]

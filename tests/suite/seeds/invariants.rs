@@ -93,7 +93,8 @@ impl Invariants {
         let latched = world.watches.state.borrow().latch.is_some();
         let unconfirmed = world.watches.state.borrow().latch.as_ref().is_some_and(|latch| !latch.fast_stop_confirmed);
         if std::mem::take(&mut world.invariants.fast_stop_is_next) && unconfirmed {
-            // An earlier FAST STOP whose reply is awaited for up to 100 ms also satisfies the rule.
+            // An earlier FAST STOP whose reply is awaited for up to 100 ms also satisfies the rule, unless it has been
+            // acknowledged since.
             let under_way =
                 world.invariants.fast_stop_sent.is_some_and(|at| world.now < at + Duration::from_millis(100));
             assert!(frame_id == id::FAST_STOP || under_way, "fast_stop_overtakes\n{}", world.tail());
@@ -125,6 +126,7 @@ impl Invariants {
             PORT_SCRIPT_ID => assert!(!latched, "latch_blocks_motion\n{}", world.tail()),
             id::ACKNOWLEDGE_FAST_STOP => {
                 world.invariants.acknowledges_sent += 1;
+                world.invariants.fast_stop_sent = None;
                 let Self { acknowledges_sent, acknowledges_taken, .. } = world.invariants;
                 assert!(acknowledges_sent <= acknowledges_taken, "acknowledge_names_its_latch\n{}", world.tail());
             }
