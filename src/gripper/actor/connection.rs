@@ -42,6 +42,7 @@ impl Actor {
         self.reads.reject_all(&rejection);
         self.settings.tag_writes.forget();
         self.settings.overdrive.reject_all(&rejection);
+        let mut lost = None;
         for purpose in in_flight {
             match purpose {
                 (Purpose::Exchange(exchange), _) => {
@@ -55,10 +56,15 @@ impl Actor {
                         record.explain(rejection.code(), &rejection);
                     });
                 }
+                (Purpose::OwnStop(stop), _) => lost = lost.or(stop.lost),
                 _ => {}
             }
         }
         self.end_running(now, unwritten);
+        if let Some(holder) = lost.filter(|_| self.is_moving(now.instant) && self.latch.id().is_none()) {
+            // Nobody knows whether the Stop has reached the device.
+            self.fast_stop_for_lost(now, &holder);
+        }
         if let Some(answer) = self.end_link_drain() {
             self.answers.add(answer, Ok(()));
         }

@@ -7,7 +7,7 @@ use super::super::error::{Conflict, Failure, Rejection};
 use super::super::handle::{AcquiredLease, FastStopRequest, ResultSender};
 use super::super::lease::{AcquireOutcome, HeldLease, Holder, Terms};
 use super::super::model::{
-    Client, FastStopCause, Lease, LeaseEvent, LeaseStep, LeaseToken, LossCause, LossEffect, OnLossHolding,
+    Client, FastStopCause, Lease, LeaseEvent, LeaseStep, LeaseToken, Link, LossCause, LossEffect, OnLossHolding,
     OnLossMoving, Reason, TakeLease,
 };
 use super::Actor;
@@ -92,7 +92,7 @@ impl Actor {
         }
         if wish.force && !matches!(outcome, AcquireOutcome::Again) {
             // The motion may also belong to a lost holder, or to one that has handed over.
-            self.stop_motion(now);
+            self.stop_motion(now, None);
         }
         Ok(())
     }
@@ -121,7 +121,7 @@ impl Actor {
     pub(super) fn release_lease(&mut self, now: Now, token: Option<&LeaseToken>) -> Lease {
         if let Some(held) = self.lease.end(token) {
             self.record_lease(now, LeaseStep::Released, &held.holder, None);
-            self.stop_motion(now);
+            self.stop_motion(now, None);
             self.withdraw_stale_scripts();
         }
         self.script_client_left(now, token);
@@ -148,12 +148,12 @@ impl Actor {
     }
 
     /// Effect of the loss of a holder with these terms. It depends on whether the fingers moved at `last_heard`, and on
-    /// whether a part is held. A Stop can't wait for a lost link, but a FAST STOP can.
+    /// whether a part is held. A Stop can't wait for a lost link, or be repeated on it, but a FAST STOP can.
     fn loss_effect(&self, terms: Terms, last_heard: Instant) -> LossEffect {
         match (self.is_moving(last_heard), self.observed.part.is_held) {
             (true, _) => match terms.on_loss_moving {
                 OnLossMoving::FastStop => LossEffect::FastStop,
-                OnLossMoving::Stop if self.link.session.is_none() => LossEffect::FastStop,
+                OnLossMoving::Stop if self.link.status() != Link::Connected => LossEffect::FastStop,
                 OnLossMoving::Stop => LossEffect::Stop,
                 OnLossMoving::Finish => LossEffect::Finish,
             },
@@ -176,18 +176,8 @@ impl Actor {
         self.record_lease(now, LeaseStep::Lost, &held.holder, Some((effect, cause)));
         self.withdraw_stale_scripts();
         match effect {
-            LossEffect::FastStop => {
-                let request = FastStopRequest {
-                    id: self.ids.fast_stop_id(now.wall),
-                    client: held.holder.client.clone(),
-                    cause: FastStopCause::ClientLost,
-                    reason: Reason::truncated(&format!("lease holder {name} lost")),
-                    at: now.instant,
-                    epoch: None,
-                };
-                self.latch(now, request);
-            }
-            LossEffect::Stop => self.stop_motion(now),
+            LossEffect::FastStop => self.fast_stop_for_lost(now, &held.holder),
+            LossEffect::Stop => self.stop_motion(now, Some(&held.holder)),
             LossEffect::Finish | LossEffect::Keep => {
                 // A motion that was not sent yet does not begin without its holder.
                 self.withdraw_waiting_motion(now);
@@ -199,6 +189,19 @@ impl Actor {
         self.streaming.stopped();
     }
 
+    /// Latches a FAST STOP because this holder was lost.
+    pub(super) fn fast_stop_for_lost(&mut self, now: Now, holder: &Holder) {
+        let request = FastStopRequest {
+            id: self.ids.fast_stop_id(now.wall),
+            client: holder.client.clone(),
+            cause: FastStopCause::ClientLost,
+            reason: Reason::truncated(&format!("lease holder {} lost", holder.name)),
+            at: now.instant,
+            epoch: None,
+        };
+        self.latch(now, request);
+    }
+
     /// Whether the fingers are known to move or to be about to, a stream was active at `at`, or a motion whose result
     /// is unknown may still be running.
     pub(super) fn is_moving(&self, at: Instant) -> bool {
@@ -206,13 +209,14 @@ impl Actor {
     }
 
     /// Withdraws a waiting motion, and sends a Stop if the fingers move.
-    fn stop_motion(&mut self, now: Now) {
+    fn stop_motion(&mut self, now: Now, lost: Option<&Holder>) {
         if !self.is_moving(now.instant) {
             return;
         }
         self.withdraw_waiting_motion(now);
         if self.is_moving(now.instant) {
-            self.link.send_stop(now, OwnStop::new(self.motion.mover(now.instant)));
+            let stop = OwnStop::new(self.motion.mover(now.instant)).for_lost(lost.cloned());
+            self.link.send_stop(now, stop);
         }
         self.streaming.stopped();
     }

@@ -9,6 +9,7 @@ use tokio::sync::{broadcast, oneshot};
 use super::super::Now;
 use super::super::error::{Failure, Rejection};
 use super::super::handle::ResultSender;
+use super::super::lease::Holder;
 use super::super::model::{Client, CommandId, LeaseToken, Link, Name, WireRecord};
 use super::super::setup::{Setting, Setup, Step};
 use super::wire_log::WireLog;
@@ -64,17 +65,24 @@ pub(super) enum Purpose {
 }
 
 /// A Stop of the gateway's own.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub(super) struct OwnStop {
     /// Motion that it should stop; `None` if there is none, for example while a script moves the fingers.
     pub motion: Option<CommandId>,
+    /// The lost holder whose motion it should stop. If it fails, a FAST STOP follows, since nobody else would stop the
+    /// fingers.
+    pub lost: Option<Holder>,
     /// Number of Stops that may follow if this one fails.
     left: u8,
 }
 
 impl OwnStop {
     pub(super) fn new(motion: Option<CommandId>) -> Self {
-        Self { motion, left: REPEATED_STOPS }
+        Self { motion, lost: None, left: REPEATED_STOPS }
+    }
+
+    pub(super) fn for_lost(self, lost: Option<Holder>) -> Self {
+        Self { lost, ..self }
     }
 
     /// The Stop to send if this one has failed; `None` after the last.

@@ -215,14 +215,18 @@ impl Actor {
     pub(super) fn own_stop_ended(&mut self, now: Now, stop: OwnStop, end: &End) {
         let has_stopped = matches!(end, End::Reply(Reply::Success(_))) || self.latch.id().is_some();
         // Without a motion of its own, the Stop could stop somebody else's script.
-        let is_wanted = stop.motion.is_some() && self.motion.mover(now.instant) == stop.motion;
-        if has_stopped || !is_wanted {
+        let is_known = stop.motion.is_some() || stop.lost.is_some() && self.observed.has(SystemState::MOVING);
+        if has_stopped || !is_known || self.motion.mover(now.instant) != stop.motion {
             return;
         }
+        let lost = stop.lost.clone();
         if let Some(again) = stop.again() {
             self.link.send_stop(now, again);
         } else {
             tracing::warn!(gripper = %self.config.name, ?end, "the gripper did not stop");
+            if let Some(holder) = lost {
+                self.fast_stop_for_lost(now, &holder);
+            }
         }
     }
 

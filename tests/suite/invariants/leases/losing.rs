@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use wsg_gateway::gripper::model::{FastStopCause, LossCause, OnLossMoving, Outcome, TakeLease};
+use wsg_gateway::gripper::model::{FastStopCause, Link, LossCause, OnLossMoving, Outcome, TakeLease};
 use wsg_gateway::sim::{FaultKind, Interface};
 use wsg_gateway::wsg::id;
 
@@ -154,6 +154,39 @@ fn lost_stop_of_an_unanswered_motion_is_repeated() {
         assert_eq!(running.now().outcome, Some(Outcome::Unknown));
         assert!(received(&world, from).starts_with(&[id::STOP, id::STOP]), "{delay_ms} ms");
     }
+}
+
+#[test]
+fn failed_stop_for_a_lost_holder_becomes_a_fast_stop() {
+    for is_pulled in [true, false] {
+        let mut world = World::calm_on(Interface::Serial, device(), Some(11_520));
+        run(&mut world, home());
+        let a = token(&mut world, TakeLease { on_loss_moving: Some(OnLossMoving::Stop), ..wish("a") });
+        submit_with(&mut world, move_to(5.0, 5.0), a.clone()).unwrap();
+        world.advance(Duration::from_millis(300));
+        world.device.apply(world.now, Change::Fault { kind: FaultKind::NoReply, id: Some(id::STOP), times: 3 });
+        let from = mark(&world);
+        lose(&mut world, a.unwrap());
+        world.advance(Duration::from_millis(50));
+        assert!(received(&world, from).contains(&id::STOP) && world.device.snapshot().moving);
+        assert!(state(&world).latch.is_none());
+        if is_pulled {
+            world.disconnected("pulled");
+        }
+        world.advance(Duration::from_secs(4));
+        assert!(!world.device.snapshot().moving, "{is_pulled}");
+        assert_eq!(latch(&world).fast_stop_cause, FastStopCause::ClientLost);
+        assert!(latch(&world).fast_stop_confirmed);
+    }
+}
+
+#[test]
+fn holder_lost_on_an_unresponsive_link_is_a_fast_stop() {
+    let (mut world, a, _) = silent_motion(OnLossMoving::Stop);
+    world.advance(Duration::from_secs(2));
+    assert_eq!(state(&world).link, Link::Unresponsive);
+    lose(&mut world, a);
+    assert_eq!(latch(&world).fast_stop_cause, FastStopCause::ClientLost);
 }
 
 #[test]
