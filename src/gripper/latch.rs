@@ -1,8 +1,9 @@
 //! The latch: a FAST STOP that stays until it is acknowledged by its id.
 //!
 //! A requested FAST STOP is sent again until the device's flags confirm it. A FAST STOP that the gateway did not cause
-//! becomes a latch too, confirmed from the start. A latch outlives a device that forgets its own FAST STOP. Nothing is
-//! acknowledged automatically.
+//! becomes a latch too, confirmed from the start. A latch outlives a device that leaves its FAST STOP without an
+//! acknowledgement by the latch's id. If a client requested the FAST STOP, it is then sent again. Nothing is acknowledged
+//! automatically.
 
 use std::time::{Duration, Instant};
 
@@ -114,6 +115,9 @@ pub(super) enum LatchChange {
     Confirmed,
     /// The acknowledgement has cleared the latch.
     Cleared,
+    /// The device has left a FAST STOP that a client requested, and nobody has acknowledged it here. Another program can
+    /// have done so, or the reply to the gateway's acknowledgement was lost.
+    Forgotten,
 }
 
 impl LatchState {
@@ -149,10 +153,19 @@ impl LatchState {
         // While an acknowledgement is under way, the flags may show its success.
         let is_forgotten =
             self.acknowledging.is_none() && flags.is_some_and(|flags| !flags.contains(SystemState::FAST_STOP));
-        if let Some(latch) = self.latch.as_mut().filter(|latch| latch.confirmed && is_forgotten) {
-            latch.confirmed = false;
-            self.flags_count_from = Some(now);
+        if is_forgotten && self.latch.as_ref().is_some_and(|latch| latch.confirmed) {
+            self.forgotten(now);
         }
+    }
+
+    /// Notes that the device has left its FAST STOP without an acknowledgement of the gateway, so that 23h is sent again.
+    fn forgotten(&mut self, now: Instant) {
+        if let Some(latch) = &mut self.latch {
+            latch.confirmed = false;
+        }
+        self.answered = false;
+        self.flags_count_from = Some(now);
+        self.repeat_at = Some(now);
     }
 
     /// Latches a client's FAST STOP. Returns a pending acknowledgement, which must not reach the device afterwards.
@@ -240,6 +253,10 @@ impl LatchState {
                 self.latch = None;
                 self.finish_acknowledge(Ok(()));
                 Some(LatchChange::Cleared)
+            }
+            (Some(latch), false) if latch.confirmed && self.acknowledging.is_none() && &*latch.by != BY_DEVICE => {
+                self.forgotten(now.instant);
+                Some(LatchChange::Forgotten)
             }
             (Some(_), true) => {
                 if let Some(Acknowledging { progress: Progress::Watching { shown, .. }, .. }) = &mut self.acknowledging
@@ -359,7 +376,7 @@ impl LatchState {
     }
 
     /// Whether flags are awaited that show the end of an acknowledged FAST STOP.
-    pub(super) fn is_watching(&self) -> bool {
+    fn is_watching(&self) -> bool {
         matches!(self.acknowledging, Some(Acknowledging { progress: Progress::Watching { .. }, .. }))
     }
 
@@ -402,69 +419,4 @@ fn cause_of(flags: SystemState, fresh: SystemState, unannounced: bool) -> FastSt
 }
 
 #[cfg(test)]
-mod tests {
-    use tokio::sync::oneshot;
-
-    use super::*;
-    use crate::gripper::model::Door;
-    use crate::wsg::Command;
-    use crate::wsg::session::{Request, Session, SessionConfig};
-
-    fn acknowledge_frame(now: Instant) -> Token {
-        let frame_gap = Duration::from_millis(100);
-        let config = SessionConfig { bytes_per_second: None, frame_gap, may_duplicate: false, nonce_seed: 1 };
-        let [reply_within, result_within] = [Duration::from_secs(1); 2];
-        let request = Request { command: Command::AcknowledgeFastStop, reply_within, result_within };
-        Session::new(config, now).submit(now, request).unwrap()
-    }
-
-    #[test]
-    fn standing_flags_explain_no_fast_stop() {
-        let (soft, finger) = (SystemState::SOFT_LIMIT_PLUS, SystemState::FINGER_FAULT);
-        let (none, stop, hot) = (SystemState::empty(), SystemState::FAST_STOP, SystemState::TEMP_FAULT);
-        let late = 60_000;
-        for (updates, expected) in [
-            (vec![(0, soft | stop)], FastStopCause::Unknown),
-            (vec![(0, none), (late, soft), (late, soft | stop)], FastStopCause::Unknown),
-            (vec![(0, none), (late, finger), (late, finger | stop)], FastStopCause::Unknown),
-            (vec![(0, none), (late, soft | stop)], FastStopCause::SoftLimit),
-            (vec![(0, none), (late, soft), (10, soft | stop)], FastStopCause::SoftLimit),
-            (vec![(0, none), (late, finger | stop)], FastStopCause::FingerFault),
-            (vec![(0, hot | stop)], FastStopCause::TemperatureFault),
-        ] {
-            let (mut latch, mut ids, mut now) = (LatchState::default(), IdSource::new(1), Now::read());
-            for (after_ms, flags) in &updates {
-                now.instant += Duration::from_millis(*after_ms);
-                latch.take_flags(now, *flags, &mut Origin { ids: &mut ids, unannounced: false });
-            }
-            assert_eq!(latch.current().map(|latch| latch.cause), Some(expected), "{updates:?}");
-        }
-    }
-
-    #[test]
-    fn only_flags_after_the_reply_decide_an_acknowledge() {
-        let answered = Now::read();
-        let later = Now { instant: answered.instant + CLEARS_WITHIN, ..answered };
-        for (flags, cleared) in [(SystemState::empty(), true), (SystemState::FAST_STOP, false)] {
-            let mut ids = IdSource::new(1);
-            let mut latch = LatchState::default();
-            let mut take_flags = |latch: &mut LatchState, now, flags| {
-                latch.take_flags(now, flags, &mut Origin { ids: &mut ids, unannounced: false })
-            };
-            let seen = take_flags(&mut latch, answered, SystemState::FAST_STOP);
-            assert_eq!(seen, Some(LatchChange::Seen { overtaken: None }));
-            let id = latch.id().unwrap();
-            let client = Client::new("test", Door::Http);
-            let token = acknowledge_frame(answered.instant);
-            latch.acknowledge_begun(Some(id), client, token, oneshot::channel().0);
-            latch.acknowledge_ended(answered.instant, token, Ok(()));
-            // The gateway was stalled, so it still has the flags from before the reply.
-            latch.handle_timeout(later.instant, Some(SystemState::FAST_STOP));
-            assert!(latch.take_acknowledged().is_empty());
-            assert_eq!(take_flags(&mut latch, later, flags), cleared.then_some(LatchChange::Cleared));
-            latch.handle_timeout(later.instant, Some(flags));
-            let told = latch.take_acknowledged().pop().unwrap().result;
-            assert_eq!(told.is_ok(), cleared, "{told:?}");
-        }
-    }
-}
+mod tests;

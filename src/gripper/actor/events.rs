@@ -82,6 +82,9 @@ impl Actor {
                 self.link.expect_aborts(now);
             }
             Some(LatchChange::Cleared) => tracing::info!(gripper = %self.config.name, "FAST STOP cleared"),
+            Some(LatchChange::Forgotten) => {
+                tracing::warn!(gripper = %self.config.name, "device left FAST STOP unacknowledged: stopping it again");
+            }
             None => {}
         }
     }
@@ -189,10 +192,11 @@ impl Actor {
     }
 
     /// Reads the flags at once if they decide about the FAST STOP and the device sends them only when they change.
-    /// Flags that confirm a repeated FAST STOP, or that outlast an acknowledgement, do not change.
+    /// Flags that confirm a repeated FAST STOP, or that outlast an acknowledgement, do not change. Those that changed
+    /// before an acknowledgement failed do not change again.
     fn read_awaited_flags(&mut self, now: Now) {
         let is_on_change = self.config.updates.mode == UpdateMode::Changes;
-        if is_on_change && (self.latch.is_unconfirmed() || self.latch.is_watching()) {
+        if is_on_change && self.latch.id().is_some() {
             // A full queue counts as no reply: the flags are polled later.
             let _ = self.link.submit(now, self.read_flags(), Purpose::Upkeep);
         }

@@ -171,6 +171,8 @@ impl Invariants {
         assert!(!unconfirmed, "unconfirmed FAST STOP\n{}", world.tail());
         let device_stopped = world.device.snapshot().fast_stop;
         assert!(!device_stopped || state.latch.is_some(), "device FAST STOP without a latch\n{}", world.tail());
+        let requested = state.latch.as_ref().is_some_and(|latch| &*latch.fast_stop_by != "device");
+        assert!(device_stopped || !requested, "latch without a FAST STOP of the device\n{}", world.tail());
         world.count("FAST STOP: latched at the end", state.latch.is_some());
         let received: Vec<_> =
             world.device.received().iter().map(|frame| encode_raw(frame.id, &frame.payload)).collect();
