@@ -45,6 +45,8 @@ pub(super) struct Observed {
     heard: [Option<Instant>; UPDATED.len()],
     /// Time at which each getter was last heard or requested.
     fresh: [Option<Instant>; UPDATED.len()],
+    /// Period of the automatic updates.
+    pub period: Duration,
     renew_after: Duration,
     /// Whether values arrive only when they have changed.
     is_on_change: bool,
@@ -62,6 +64,7 @@ impl Observed {
 
     pub(super) fn set_rules(&mut self, rules: UpdateRules, bytes_per_second: Option<u32>) {
         let period = Duration::from_millis(period_ms(rules, bytes_per_second).into());
+        self.period = period;
         self.is_on_change = rules.mode == UpdateMode::Changes;
         // A device whose values do not change sends nothing. It is polled after one period, so that its replies arrive
         // before the link counts as unresponsive.

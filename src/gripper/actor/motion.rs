@@ -118,7 +118,7 @@ impl Actor {
     }
 
     pub(super) fn end_settled_motion(&mut self, now: Now) {
-        if self.motion.has_settled(now.instant, |since| self.observed.is_newer_than(since)) {
+        if self.motion.has_settled(now.instant, &self.observed) {
             self.end_running(now, false);
         }
     }

@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 
 use super::super::error::{Conflict, Failure};
 use super::super::model::{Client, CommandId, FastStopId, Kind, Motion, Outcome};
+use super::super::observed::Observed;
 use super::RESULT_WITHIN;
 use crate::wsg::Status;
 use crate::wsg::session::Token;
@@ -20,8 +21,8 @@ const MOTION_MARGIN: Duration = Duration::from_secs(10);
 /// Limit. The gateway's process can be frozen meanwhile, or the link be set up again.
 const BEGINS_WITHIN: Duration = Duration::from_secs(2);
 
-/// Longest wait for values measured after a motion, so that its result and the client's next read have the values at
-/// rest. Updates every 10 ms usually end the wait sooner.
+/// Longest wait for values measured after a motion, beyond the period of the updates, so that its result and the
+/// client's next read have the values at rest. The next updates usually end the wait sooner.
 const SETTLES_WITHIN: Duration = Duration::from_millis(50);
 
 /// Time after a motion's end for which the flags can still show movement.
@@ -213,19 +214,20 @@ impl MotionState {
         (waited > self.pause + BEGINS_WITHIN).then_some(waited)
     }
 
-    /// Time at which a settling motion ends even without newer values.
-    pub(super) fn settles_at(&self) -> Option<Instant> {
+    /// Time at which a settling motion ends even without newer values, which arrive with this period.
+    pub(super) fn settles_at(&self, period: Duration) -> Option<Instant> {
         match self.running.as_ref()?.stage {
-            Stage::Settling(settling) => Some(settling.since + SETTLES_WITHIN),
+            Stage::Settling(settling) => Some(settling.since + period + SETTLES_WITHIN),
             _ => None,
         }
     }
 
     /// Whether the motion has settled: values newer than its end have arrived, or the wait is over.
-    pub(super) fn has_settled(&self, now: Instant, is_newer_than: impl FnOnce(Instant) -> bool) -> bool {
+    pub(super) fn has_settled(&self, now: Instant, observed: &Observed) -> bool {
         match &self.running {
             Some(Running { stage: Stage::Settling(settling), is_streamed, .. }) => {
-                *is_streamed || is_newer_than(settling.since) || settling.since + SETTLES_WITHIN <= now
+                let is_over = self.settles_at(observed.period).is_some_and(|at| at <= now);
+                *is_streamed || is_over || observed.is_newer_than(settling.since)
             }
             _ => false,
         }
@@ -244,7 +246,7 @@ impl MotionState {
         running.map(|running| running.cancelled_by.get_or_insert_with(|| by.subject.clone())).is_some()
     }
 
-    /// Whether homing is under way, during which the fingers are not referenced.
+    /// Whether homing is under way or settles. Until the first flags after it, the fingers can be without a reference.
     pub(super) fn is_homing(&self) -> bool {
         self.running.as_ref().is_some_and(|running| matches!(running.motion, Motion::Home(_)) && !running.is_waiting())
     }

@@ -15,7 +15,8 @@ use super::link::{Exchange, Purpose};
 use crate::wsg::session::{End, SCRIPT_REPLIES_WITHIN, Token};
 use crate::wsg::{GripperState, SystemState};
 
-/// Longest time from a script's request or reply to the motion that it causes.
+/// Longest time from a script's request or reply to the motion that it causes. The flags show the motion up to one
+/// period of the updates later.
 const MOVES_WITHIN: Duration = Duration::from_millis(200);
 
 /// How a client of a script ended.
@@ -47,8 +48,9 @@ pub(super) struct Scripts {
 }
 
 impl ScriptUse {
-    fn can_move(&self, now: Instant) -> bool {
-        self.is_suspect || now < self.at + MOVES_WITHIN || self.unanswered_until.is_some_and(|until| now < until)
+    fn can_move(&self, now: Instant, period: Duration) -> bool {
+        let until = self.at + MOVES_WITHIN + period;
+        self.is_suspect || now < until || self.unanswered_until.is_some_and(|until| now < until)
     }
 }
 
@@ -95,7 +97,7 @@ impl Actor {
     /// Forgets the scripts that can no longer move the fingers.
     fn forget_old_scripts(&mut self, now: Instant) {
         let running: Vec<_> = self.running_scripts().filter_map(|(_, script)| script.lease.clone()).collect();
-        self.scripts.uses.retain(|script| running.contains(&script.token) || script.can_move(now));
+        self.scripts.uses.retain(|script| running.contains(&script.token) || script.can_move(now, self.observed.period));
     }
 
     /// Takes the announced end of a client. A motion that its script then begins is stopped.

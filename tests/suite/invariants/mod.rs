@@ -9,6 +9,7 @@ mod faults;
 mod leases;
 mod repeats;
 mod restarts;
+mod slow_updates;
 pub mod steps;
 
 use std::time::Duration;
