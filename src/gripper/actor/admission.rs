@@ -218,6 +218,7 @@ impl Actor {
             Command::Stop | Command::FastStop => Err(not_here("use its own operation")),
             Command::AcknowledgeFastStop => Err(not_here("acknowledge the FAST STOP by its id")),
             Command::DisconnectAnnouncement => Err(not_here("the gateway announces its own disconnects")),
+            command if command.id() == id::SET_FORCE_LIMIT => Ok(self.motion.check_force_limit()?),
             Command::Custom(_) if self.is_script(command) && client.door.speaks_wsg() => {
                 self.check_stopped()?;
                 Ok(self.recording.check()?)

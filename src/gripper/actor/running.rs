@@ -103,6 +103,12 @@ impl Running {
         matches!(self.stage, Stage::Waiting | Stage::Force(_))
     }
 
+    /// Whether the force limit has to stay as this grip sets it, because the device has not accepted the grip yet.
+    fn needs_its_force(&self) -> bool {
+        let has_force = matches!(self.motion, Motion::Grip { force: Some(_), .. });
+        has_force && !self.accepted && !self.has_ended()
+    }
+
     /// Token of the session's request, if there is one.
     pub(super) fn token(&self) -> Option<Token> {
         match self.stage {
@@ -178,6 +184,14 @@ impl MotionState {
     pub(super) fn check(&self) -> Result<(), Conflict> {
         match &self.running {
             Some(running) if !running.has_ended() => Err(Conflict::AlreadyRunning { id: running.id }),
+            _ => Ok(()),
+        }
+    }
+
+    /// Checks that the force limit can be set without changing the force of a grip that is about to begin.
+    pub(super) fn check_force_limit(&self) -> Result<(), Conflict> {
+        match &self.running {
+            Some(running) if running.needs_its_force() => Err(Conflict::AlreadyRunning { id: running.id }),
             _ => Ok(()),
         }
     }

@@ -97,7 +97,9 @@ impl Actor {
     /// Forgets the scripts that can no longer move the fingers.
     fn forget_old_scripts(&mut self, now: Instant) {
         let running: Vec<_> = self.running_scripts().filter_map(|(_, script)| script.lease.clone()).collect();
-        self.scripts.uses.retain(|script| running.contains(&script.token) || script.can_move(now, self.observed.period));
+        self.scripts
+            .uses
+            .retain(|script| running.contains(&script.token) || script.can_move(now, self.observed.period));
     }
 
     /// Takes the announced end of a client. A motion that its script then begins is stopped.

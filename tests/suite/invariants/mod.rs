@@ -422,6 +422,17 @@ fn cancelled_grip_keeps_its_force_limit() {
 }
 
 #[test]
+fn no_force_limit_slips_between_a_grip_and_its_force() {
+    let mut world = homed();
+    let ticket = start(&mut world, grip(Some(20.0)));
+    let mut other = exchange(&mut world, wsg::Command::SetForceLimit(Force::new(80.0).unwrap()));
+    let expected = Conflict::AlreadyRunning { id: ticket.now().id };
+    assert_eq!(other.try_recv().unwrap(), Err(expected.into()));
+    assert_eq!(finish(&mut world, &ticket).outcome, Some(Outcome::PartHeld));
+    assert!((world.device.snapshot().force_limit_n - 20.0).abs() < 0.1);
+}
+
+#[test]
 fn foreign_motion_is_noticed_once() {
     let mut world = homed();
     run(&mut world, move_to(60.0, 200.0));
