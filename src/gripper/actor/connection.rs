@@ -6,7 +6,7 @@ use super::super::latch;
 use super::super::model::{DeviceEvent, Link, Outcome};
 use super::super::observed;
 use super::super::setup::Setup;
-use super::link::Purpose;
+use super::link::{OwnStop, Purpose};
 use super::running::Running;
 use super::{Actor, REPLY_WITHIN};
 use crate::wsg::{Command, SystemState};
@@ -56,7 +56,10 @@ impl Actor {
                         record.explain(rejection.code(), &rejection);
                     });
                 }
-                (Purpose::OwnStop(stop), _) => lost = lost.or(stop.lost),
+                (Purpose::OwnStop(stop), _) => {
+                    self.link.owed_stop = Some(OwnStop::new(stop.motion));
+                    lost = lost.or(stop.lost);
+                }
                 _ => {}
             }
         }
@@ -161,6 +164,17 @@ impl Actor {
         self.link.ready();
         self.observed.temperature_at = Some(now.instant);
         tracing::info!(gripper = %name, "link established");
+        if let Some(stop) = self.link.owed_stop.take() {
+            self.send_owed_stop(now, stop);
+        }
+    }
+
+    /// Stops the motion that should have been stopped before the link was lost, if it still runs.
+    fn send_owed_stop(&mut self, now: Now, stop: OwnStop) {
+        let runs = self.observed.has(SystemState::MOVING) && self.motion.mover(now.instant) == stop.motion;
+        if runs && stop.motion.is_some() && self.latch.id().is_none() {
+            self.link.send_stop(now, stop);
+        }
     }
 
     /// Handles silence of the device, and its end.

@@ -142,6 +142,8 @@ pub(super) struct DeviceLink {
     pub was_up: bool,
     /// Whether the last connection-oriented link ended without an announcement.
     pub unannounced: bool,
+    /// A Stop of the gateway's own that the device had not confirmed when the link was lost.
+    pub owed_stop: Option<OwnStop>,
     wire_log: WireLog,
 }
 
@@ -160,6 +162,7 @@ impl DeviceLink {
             is_connecting: false,
             was_up: false,
             unannounced: false,
+            owed_stop: None,
         }
     }
 
@@ -404,10 +407,12 @@ impl DeviceLink {
     }
 
     /// Sends a Stop of the gateway's own, unless a Stop is waiting to be written. This keeps room in the queue for
-    /// clients' Stops.
+    /// clients' Stops. Without a link, the Stop follows after the next setup.
     pub(super) fn send_stop(&mut self, now: Now, stop: OwnStop) {
-        if !self.session.as_ref().is_some_and(|session| session.has_waiting(id::STOP)) {
-            let _ = self.submit(now, Command::Stop, Purpose::OwnStop(stop));
+        match &self.session {
+            None => self.owed_stop = Some(stop),
+            Some(session) if session.has_waiting(id::STOP) => {}
+            Some(_) => drop(self.submit(now, Command::Stop, Purpose::OwnStop(stop))),
         }
     }
 

@@ -181,6 +181,23 @@ fn failed_stop_for_a_lost_holder_becomes_a_fast_stop() {
 }
 
 #[test]
+fn lease_released_on_a_lost_link_stops_the_motion_afterwards() {
+    let mut world = World::calm_on(Interface::Serial, device(), Some(11_520));
+    run(&mut world, home());
+    let a = token(&mut world, wish("a"));
+    submit_with(&mut world, move_to(5.0, 5.0), a.clone()).unwrap();
+    world.advance(Duration::from_millis(300));
+    let from = mark(&world);
+    world.disconnected("pulled");
+    assert!(!release(&mut world, a).held && world.device.snapshot().moving);
+    world.advance(Duration::from_secs(1));
+    let mut sent = received(&world, from);
+    sent.retain(|frame_id| *frame_id == id::STOP);
+    assert_eq!(sent, [id::STOP]);
+    assert!(!world.device.snapshot().moving && state(&world).latch.is_none());
+}
+
+#[test]
 fn holder_lost_on_an_unresponsive_link_is_a_fast_stop() {
     let (mut world, a, _) = silent_motion(OnLossMoving::Stop);
     world.advance(Duration::from_secs(2));
