@@ -424,8 +424,8 @@ impl Leases {
         };
         let moved = Self::moved(world);
         if moved == Some(true) {
-            // A Stop needs a session, which a link without values may have.
-            let may_be_harder = chosen == LossEffect::Stop && !has_link(&world.watches.state.borrow());
+            // A Stop needs a link that works.
+            let may_be_harder = chosen == LossEffect::Stop && world.watches.state.borrow().link != Link::Connected;
             let chosen = if may_be_harder { event.effect } else { Some(chosen) };
             assert!(!may_be_harder || matches!(chosen, Some(LossEffect::Stop | LossEffect::FastStop)), "{chosen:?}");
             assert_eq!(event.effect, chosen, "wrong effect for moving fingers\n{}", world.tail());
