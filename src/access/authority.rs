@@ -185,6 +185,7 @@ impl Access {
         match credential {
             Credential::None => KnownClient::find(&guard.clients, origin).ok_or(Unauthorized::Missing),
             Credential::Malformed => Err(Unauthorized::Malformed),
+            Credential::NotAToken(error) => Err((*error).into()),
             Credential::Token(secret) => guard.by_token(secret, Proof::Token).map(|(_, identity)| identity),
             Credential::Session(id) => {
                 let identity = guard.by_session(self.sessions.credentials(Instant::now(), guard.times, id))?;

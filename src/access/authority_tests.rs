@@ -71,6 +71,8 @@ fn address_identifies_a_client_without_a_credential_only() {
     let stranger = TokenSecret::generate().unwrap();
     assert_eq!(tried.access.identify(&Credential::Token(stranger), peer), Err(Unauthorized::Unknown));
     assert_eq!(tried.access.identify(&Credential::Malformed, peer), Err(Unauthorized::Malformed));
+    let cut = tried.access.identify(&Credential::of_token("wsg_wrong"), peer).unwrap_err();
+    assert!(cut.to_string().contains("47 characters and begin with wsg_: copy it again"), "{cut}");
     assert_eq!(tried.access.identify(&Credential::None, &at("192.168.1.11")), Err(Unauthorized::Missing));
     // A certificate decides before the address.
     let mes = ClientOrigin { certificate: Some(holder("mes", 60)), ..peer.clone() };

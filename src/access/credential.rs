@@ -6,7 +6,7 @@ use base64::Engine as _;
 use base64::engine::general_purpose::URL_SAFE_NO_PAD;
 
 use super::random::secret_bytes;
-use super::token::TokenSecret;
+use super::token::{NotAToken, TokenSecret};
 
 /// A credential, as a client presents it.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -17,6 +17,16 @@ pub enum Credential {
     Session(SessionId),
     /// A header that cannot be parsed.
     Malformed,
+    /// A text in the place of a token.
+    NotAToken(NotAToken),
+}
+
+impl Credential {
+    /// Parses the text that a client presents as a token.
+    #[must_use]
+    pub fn of_token(text: &str) -> Self {
+        text.parse().map_or_else(Self::NotAToken, Self::Token)
+    }
 }
 
 /// Secret id of a browser's session. Debug output hides it.

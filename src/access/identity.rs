@@ -8,6 +8,7 @@ use utoipa::ToSchema;
 
 use super::credential::SessionId;
 use super::role::{Right, Role};
+use super::token::NotAToken;
 use crate::gripper::model::Name;
 
 /// A client that the gateway knows.
@@ -55,8 +56,10 @@ pub enum Proof {
 pub enum Unauthorized {
     #[error("this request needs a credential: send a token as \"Authorization: Bearer wsg_…\", or sign in")]
     Missing,
-    #[error("the Authorization header is not \"Bearer\" followed by a token")]
+    #[error("the Authorization header must be \"Bearer\", a space and a token, and must be sent once")]
     Malformed,
+    #[error(transparent)]
+    NotAToken(#[from] NotAToken),
     #[error("this token is unknown or was revoked: ask for a new one")]
     Unknown,
     #[error("this token has expired: ask for a new one")]

@@ -11,13 +11,16 @@ use super::random::{SECRET_BYTES, secret_bytes};
 /// Beginning of every token, so that scanners for leaked secrets find it.
 const PREFIX: &str = "wsg_";
 
+/// Length of every token: the prefix, and 32 bytes in Base64.
+const CHARACTERS: usize = 47;
+
 /// A token: `wsg_` and 43 characters. Debug output hides it.
 #[derive(Clone, PartialEq, Eq)]
 pub struct TokenSecret(String);
 
 /// A text that is not a token.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("not a token: tokens begin with {PREFIX}")]
+#[error("this is not a token, because tokens have {CHARACTERS} characters and begin with {PREFIX}: copy it again")]
 pub struct NotAToken;
 
 impl TokenSecret {
@@ -58,7 +61,7 @@ mod tests {
     #[test]
     fn token_is_hidden_in_debug_output() {
         let token = TokenSecret::generate().unwrap();
-        assert_eq!((token.expose().len(), format!("{token:?}").as_str()), (47, "wsg_…"));
+        assert_eq!((token.expose().len(), format!("{token:?}").as_str()), (CHARACTERS, "wsg_…"));
         assert_eq!(token.expose().parse(), Ok(token.clone()));
         assert_ne!(TokenSecret::generate().unwrap(), token);
     }

@@ -51,7 +51,7 @@ pub struct SignedIn {
 )]
 pub async fn sign_in(Shared(context): Shared<Arc<HttpContext>>, request: Request) -> Result<Response, Problem> {
     let SignIn { token } = secret(&body::bytes(request.into_body()).await?)?;
-    let token: TokenSecret = token.parse().map_err(|_| Unauthorized::Unknown)?;
+    let token: TokenSecret = token.parse().map_err(Unauthorized::from)?;
     let Some((id, Identity { name, role, .. })) = context.gateway.access.sign_in(&token)? else {
         return Err(Problem::new(
             Code::NotFound,

@@ -64,15 +64,17 @@ fn credential(headers: &HeaderMap, cookie: Option<&str>) -> Credential {
     let mut tokens = headers.get_all(AUTHORIZATION).iter();
     match (tokens.next(), tokens.next()) {
         (None, _) => cookie.and_then(|cookie| session(headers, cookie)).map_or(Credential::None, Credential::Session),
-        (Some(token), None) => bearer(token).map_or(Credential::Malformed, Credential::Token),
+        (Some(token), None) => bearer(token),
         (Some(_), Some(_)) => Credential::Malformed,
     }
 }
 
 /// Parses `Bearer TOKEN` (RFC 6750, 2.1).
-fn bearer(value: &HeaderValue) -> Option<crate::access::TokenSecret> {
-    let (scheme, token) = value.to_str().ok()?.split_once(' ')?;
-    scheme.eq_ignore_ascii_case("Bearer").then(|| token.trim().parse().ok())?
+fn bearer(value: &HeaderValue) -> Credential {
+    match value.to_str().ok().and_then(|value| value.split_once(' ')) {
+        Some((scheme, token)) if scheme.eq_ignore_ascii_case("Bearer") => Credential::of_token(token.trim()),
+        _ => Credential::Malformed,
+    }
 }
 
 /// Returns the session in a request's cookie of this name.
@@ -107,7 +109,7 @@ mod tests {
                 Credential::Token(token.clone())
             );
         }
-        for values in [&["Basic YTpi"][..], &["Bearer"], &["Bearer x"], &[token.expose()], &[&upper, &upper]] {
+        for values in [&["Basic YTpi"][..], &["Bearer"], &[token.expose()], &[&upper, &upper]] {
             assert_eq!(
                 credential(&headers("authorization", values), Some(SESSION_COOKIE)),
                 Credential::Malformed,
@@ -115,6 +117,20 @@ mod tests {
             );
         }
         assert_eq!(credential(&HeaderMap::new(), Some(SESSION_COOKIE)), Credential::None);
+    }
+
+    #[test]
+    fn text_that_is_no_token_is_told_apart_from_another_scheme() {
+        let refused = |value: &str| {
+            let presented = headers("authorization", &[value]);
+            let found =
+                Identified::of(&Access::default(), &presented, ClientOrigin::default(), None).visitor.credential;
+            format!("{found:?}")
+        };
+        assert_eq!(refused("Basic YTpi"), "Malformed");
+        for value in ["Bearer x", "Bearer wsg_wrong", "bearer TOKEN"] {
+            assert!(refused(value).starts_with("NotAToken"), "{value}");
+        }
     }
 
     #[test]

@@ -252,8 +252,7 @@ impl Queries {
             zid,
             lease: given(LEASE),
             request_id: given(REQUEST_ID),
-            credential: given(TOKEN)
-                .map_or(Credential::None, |token| token.parse().map_or(Credential::Malformed, Credential::Token)),
+            credential: given(TOKEN).map_or(Credential::None, |token| Credential::of_token(&token)),
             client: client(client_name.as_ref()),
         })
     }
