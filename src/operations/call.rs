@@ -89,8 +89,9 @@ impl Params {
 impl Call {
     /// Returns the gripper, and uses the lease whose token came alongside the parameters.
     pub fn gripper(&self) -> Result<Gripper, Problem> {
-        let unknown = || Problem::not_found("gripper with this name").field("gripper");
-        let name = self.params.part("gripper")?.parse().map_err(|_| unknown())?;
+        let text = self.params.part("gripper")?;
+        let unknown = || self.gateway.no_gripper(text, self.caller.identity.is_ok());
+        let name = text.parse().map_err(|_| unknown())?;
         let handle = self.gateway.grippers.get(&name).ok_or_else(unknown)?;
         let Caller { client, lease, request_id, presence, .. } = self.caller.clone();
         // Operations that need no request id refuse an invalid one, too.

@@ -3,7 +3,9 @@
 use std::sync::Arc;
 
 use super::audit::Audit;
+use super::problem::Problem;
 use super::reload_requests::Reloads;
+use super::values::shortened;
 use crate::access::Access;
 use crate::alarms::Alarms;
 use crate::events::LiveUpdates;
@@ -15,6 +17,9 @@ use crate::recipes::Recipes;
 use crate::trends::Trends;
 use crate::wear::Wear;
 use crate::webhooks::Webhooks;
+
+/// Most names of grippers that a problem lists: it has to fit a small client's buffer.
+const MAX_LISTED: usize = 8;
 
 /// State that operations work on.
 #[derive(Debug, Clone)]
@@ -37,6 +42,25 @@ pub struct Gateway {
     /// Credentials of clients.
     pub access: Arc<Access>,
     pub reloads: Reloads,
+}
+
+impl Gateway {
+    /// Reports that no gripper has this name. Lists the grippers, unless the caller is unknown.
+    pub(crate) fn no_gripper(&self, name: &str, is_known: bool) -> Problem {
+        let name = name.parse::<Name>().map_or_else(|_| format!("{:?}", shortened(name)), |name| name.to_string());
+        let all = self.grippers.all();
+        let remedy = match all.len() {
+            _ if !is_known => "check the name".to_owned(),
+            0 => "this gateway has none".to_owned(),
+            count => {
+                let listed: Vec<_> = all.iter().take(MAX_LISTED).map(|gripper| gripper.name().as_str()).collect();
+                let more = count.checked_sub(MAX_LISTED).filter(|more| *more > 0);
+                let more = more.map(|more| format!(" and {more} more")).unwrap_or_default();
+                format!("this gateway has {}{more}", listed.join(", "))
+            }
+        };
+        Problem::not_found(format!("gripper is named {name}: {remedy}")).field("gripper")
+    }
 }
 
 #[cfg(test)]
@@ -67,5 +91,24 @@ impl Gateway {
             access: Arc::default(),
             reloads: Reloads::channel().0,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gripper::fake::{self, FakeScript};
+
+    #[tokio::test]
+    async fn missing_gripper_is_reported_with_a_few_names_of_others() {
+        let gateway =
+            |names: &[&str]| Gateway::of(names.iter().map(|name| fake::gripper(name, FakeScript::default()).0));
+        let said = |names: &[&str], name: &str, is_known| gateway(names).no_gripper(name, is_known).detail().to_owned();
+        assert_eq!(said(&["right", "left"], "lefft", true), "no gripper is named lefft: this gateway has left, right");
+        let [eight, nine] = [8, 9].map(|count| ["a", "b", "c", "d", "e", "f", "g", "h", "i"][..count].to_vec());
+        assert!(said(&eight, "x", true).ends_with("this gateway has a, b, c, d, e, f, g, h"));
+        assert!(said(&nine, "x", true).ends_with("this gateway has a, b, c, d, e, f, g, h and 1 more"));
+        assert_eq!(said(&["left"], "lefft", false), "no gripper is named lefft: check the name");
+        assert_eq!(said(&[], "Left\n", true), "no gripper is named \"Left\\n\": this gateway has none");
     }
 }

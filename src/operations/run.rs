@@ -18,8 +18,8 @@ use super::operation::Operation;
 use super::problem::Problem;
 use super::reply::OperationReply;
 use super::rights::check;
-use super::table::{is_fast_stop, named, shortened};
-use super::values::TextOrNumber;
+use super::table::{is_fast_stop, named};
+use super::values::{TextOrNumber, shortened};
 use crate::access::{Access, Identity, Unauthorized};
 use crate::gripper::model::{Code, Urgency};
 
@@ -46,7 +46,8 @@ pub async fn run(
     params: Params,
 ) -> Result<OperationReply, Problem> {
     let (client, gripper) = (caller.client.clone(), params.gripper());
-    let running = match check(&gateway.access, operation.right, &caller.identity, gripper.as_ref()) {
+    let allowed = check(&gateway.access, operation.right, &caller.identity, gripper.as_ref());
+    let running = match allowed.map_err(|problem| missing_gripper(gateway, &params, &problem).unwrap_or(problem)) {
         Ok(()) => {
             note_use(&gateway.access, operation, &caller.identity);
             operation.start(Call { gateway: gateway.clone(), caller, params })
@@ -77,6 +78,14 @@ pub async fn run(
         gateway.audit.record(request, problem.detail(), operation.urgency).await;
     }
     result
+}
+
+/// Returns the problem of a forbidden request if its gripper does not exist, which is the better reason.
+fn missing_gripper(gateway: &Gateway, params: &Params, problem: &Problem) -> Option<Problem> {
+    let name = params.path.get("gripper").filter(|_| problem.code() == Code::Forbidden)?;
+    let exists = params.gripper().is_some_and(|gripper| gateway.grippers.get(&gripper).is_some());
+    // Only a known caller is forbidden something.
+    (!exists).then(|| gateway.no_gripper(name, true))
 }
 
 /// Runs the operation with this name. A FAST STOP with wrong parameters stops all grippers, since the intended one is
@@ -142,6 +151,9 @@ mod tests {
     use serde_json::json;
 
     use super::*;
+    use crate::access::{Role, Scope};
+    use crate::gripper::fake::{self, FakeScript};
+    use crate::gripper::model::{Client, Door};
 
     fn resolved(name: &str, params: Value) -> (&'static str, Params) {
         let (operation, params) = resolve(name, params).unwrap();
@@ -180,10 +192,27 @@ mod tests {
     }
 
     #[tokio::test]
+    async fn missing_gripper_comes_before_missing_rights_but_not_before_a_credential() {
+        let gateway = Gateway::of([fake::gripper("left", FakeScript::default()).0]);
+        let scope = Scope::Only(["left".parse().unwrap()].into());
+        let [robot, panel] = [Role::Operator, Role::Observer]
+            .map(|role| Ok(Identity { role, scope: scope.clone(), ..Identity::anyone() }));
+        let refused = async |identity: &Result<Identity, Unauthorized>, name: &str, gripper: &str| {
+            let caller = Caller::new(Client::new("test", Door::Http), identity.clone());
+            let problem = call(&gateway, caller, name, json!({"gripper": gripper})).await.unwrap_err();
+            (problem.code(), problem.detail().to_owned())
+        };
+        let missing = (Code::NotFound, "no gripper is named lefft: this gateway has left".to_owned());
+        for (identity, name) in [(&robot, "home"), (&robot, "state"), (&panel, "home"), (&panel, "state")] {
+            assert_eq!(refused(identity, name, "lefft").await, missing, "{name}");
+        }
+        assert_eq!(refused(&panel, "home", "left").await.0, Code::Forbidden);
+        let (code, detail) = refused(&Err(Unauthorized::Missing), "home", "lefft").await;
+        assert!(code == Code::Unauthorized && !detail.contains("left"), "{detail}");
+    }
+
+    #[tokio::test]
     async fn unknown_field_is_named() {
-        use crate::access::Identity;
-        use crate::gripper::fake::{self, FakeScript};
-        use crate::gripper::model::{Client, Door};
         let gateway = Gateway::of([fake::gripper("left", FakeScript::default()).0]);
         let caller = Caller::new(Client::new("test", Door::Ws), Ok(Identity::anyone()));
         let params = json!({"gripper": "left", "width_mm": 20});

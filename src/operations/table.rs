@@ -98,11 +98,6 @@ pub fn urgency(name: &str) -> Urgency {
     named(name).next().map_or(Urgency::None, |operation| operation.urgency)
 }
 
-/// Cuts a client's text to the 32 characters that an answer repeats.
-pub(super) fn shortened(text: &str) -> String {
-    text.chars().take(32).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::operation::journal_command;

@@ -16,6 +16,11 @@ use crate::gripper::limits::{FASTEST_MM_S, HARDEST_MM_S2, STRONGEST_N, WIDEST_MM
 use crate::gripper::model::{Name, PartId, ShownName, Text};
 use crate::wsg::{Acceleration, Force, NotFinite, Speed, Width};
 
+/// Cuts a client's text to the 32 characters that an answer repeats.
+pub(super) fn shortened(text: &str) -> String {
+    text.chars().take(32).collect()
+}
+
 /// An opening width, or a change of it, in mm.
 pub fn width(field: &str, mm: f64) -> Result<Width, Problem> {
     Width::new(single(field, mm, WIDEST_MM)?).map_err(|error| not_finite(field, error))

@@ -232,6 +232,20 @@ async fn browser_signs_in_and_out() {
 }
 
 #[tokio::test]
+async fn restricted_client_learns_which_grippers_exist_but_a_stranger_does_not() {
+    let (gateway, secrets) = guarded().await;
+    let home = gateway.url("/api/v1/grippers/lefft/home");
+    let other = reqwest::Client::new().post(&home).bearer_auth(&secrets[2]);
+    let missing = gateway.send(other).await.problem(404, "not_found");
+    assert_eq!(missing["detail"], "no gripper is named lefft: this gateway has g, h");
+    let stop = gateway.url("/api/v1/grippers/lefft/fast-stop");
+    for (path, status, code) in [(&home, 401, "unauthorized"), (&stop, 404, "not_found")] {
+        let refused = gateway.send(reqwest::Client::new().post(path)).await.problem(status, code);
+        assert!(!refused["detail"].as_str().unwrap().contains("this gateway has"), "{refused}");
+    }
+}
+
+#[tokio::test]
 async fn fast_stop_needs_a_credential_if_configured() {
     let files = Directory::new();
     let file = files.write("gateway.toml", "[access]\nfast_stop = \"credential\"\n");

@@ -374,7 +374,7 @@ async fn decode_follows_the_wire_until_the_gateway_ends() {
 async fn decode_names_an_unknown_gripper_or_gateway() {
     let (_device, gateway) = connected().await;
     let said = run(&["decode", "--follow", &gateway.url("/api/v1/grippers/h")]).await.stderr;
-    assert!(said.contains("no gripper with this name"), "{said}");
+    assert!(said.contains("no gripper is named h: this gateway has g"), "{said}");
     let said = run(&["decode", "--follow", "http://127.0.0.1:1"]).await.stderr;
     assert!(said.contains("no gateway answers at http://127.0.0.1:1"), "{said}");
 }

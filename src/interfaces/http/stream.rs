@@ -128,7 +128,7 @@ impl Stream {
             .unwrap_or_else(|| BTreeSet::from([Topic::Events]));
         let name: Option<Name> = given.parsed("gripper", "a gripper's name", |text| text.parse().ok())?;
         if let Some(name) = &name {
-            context.gateway.grippers.get(name).ok_or_else(|| Problem::not_found("gripper with this name"))?;
+            context.gateway.grippers.get(name).ok_or_else(|| context.gateway.no_gripper(name.as_str(), true))?;
         }
         let max_hz = match given.parsed("max_hz", "a whole number", |text| text.parse::<f64>().ok())? {
             Some(number) => integer("max_hz", number, 1..=MAX_HZ)?,

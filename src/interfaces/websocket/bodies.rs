@@ -60,5 +60,5 @@ pub fn subscribe(gateway: &Gateway, params: &Value) -> Result<(Subscribed, Follo
 
 fn known(gateway: &Gateway, name: &str) -> Result<Name, Problem> {
     let known = name.parse().ok().filter(|name| gateway.grippers.get(name).is_some());
-    known.ok_or_else(|| Problem::not_found("gripper with this name").field("grippers").value(Some(name.into())))
+    known.ok_or_else(|| gateway.no_gripper(name, true).field("grippers").value(Some(name.into())))
 }

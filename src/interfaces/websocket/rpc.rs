@@ -250,7 +250,7 @@ mod tests {
         assert_eq!(code(Problem::malformed("width_mm", "width_mm is missing")), INVALID_PARAMS);
         assert_eq!(code(Problem::out_of_range("width_mm", 300.0, 0.0, 110.0)), INVALID_PARAMS);
         assert_eq!(code(Problem::too_long("part_id", 64, 48)), INVALID_PARAMS);
-        assert_eq!(code(Problem::not_found("gripper with this name").field("gripper")), INVALID_PARAMS);
+        assert_eq!(code(Problem::not_found("gripper is named h").field("gripper")), INVALID_PARAMS);
         assert_eq!(code(Problem::new(Code::NotReferenced, "home first")), REFUSED);
         assert_eq!(code(Problem::not_found("command with this id")), REFUSED);
     }
