@@ -219,8 +219,14 @@ impl MotionError {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs, reason = "the messages name the fields")]
 pub enum Failure {
-    #[error("the link to the device is {link}: {cause}")]
-    LinkDown { link: Link, cause: String },
+    #[error("{}", link_down(*link, url, cause.as_deref()))]
+    LinkDown {
+        link: Link,
+        /// Address of the device.
+        url: String,
+        /// `None` while the link is being set up.
+        cause: Option<String>,
+    },
     /// The gateway is shutting down, or the gripper is being removed.
     #[error("the gateway is disconnecting from this gripper and accepts no new commands for it")]
     Draining,
@@ -263,6 +269,19 @@ pub enum Failure {
     LineTime { command: &'static str, line_ms: u64, max_ms: u64 },
 }
 
+fn link_down(link: Link, url: &str, cause: Option<&str>) -> String {
+    let remedy = match cause {
+        None => "it is being set up, try again in a moment",
+        // Its cause has the remedy.
+        Some(_) if link == Link::Released => "",
+        // So has a cause of the other transports that is in two parts.
+        Some(cause) if !url.starts_with("tcp:") && cause.contains(": ") => "",
+        Some(_) => "check power, cable and address",
+    };
+    let parts = cause.into_iter().chain(Some(remedy).filter(|remedy| !remedy.is_empty()));
+    format!("no link to the device at {url} ({link}): {}", parts.collect::<Vec<_>>().join(": "))
+}
+
 impl Failure {
     const fn code(&self) -> Code {
         match self {
@@ -276,6 +295,34 @@ impl Failure {
             Self::JournalDown { .. } => Code::JournalDown,
             Self::Overloaded { .. } | Self::RequestIds { .. } | Self::FlashWear { .. } => Code::Overloaded,
             Self::LineTime { .. } => Code::AlreadyRunning,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn missing_link_is_reported_with_address_cause_and_remedy() {
+        let said = |link, url: &str, cause: Option<&str>| {
+            Failure::LinkDown { link, url: url.to_owned(), cause: cause.map(str::to_owned) }.to_string()
+        };
+        assert_eq!(
+            said(Link::Connecting, "tcp://192.168.1.20:1000", Some("Connection refused (os error 111)")),
+            "no link to the device at tcp://192.168.1.20:1000 (connecting): Connection refused (os error 111): check \
+             power, cable and address"
+        );
+        let setup = said(Link::Connecting, "can://can0", None);
+        assert_eq!(
+            setup,
+            "no link to the device at can://can0 (connecting): it is being set up, try again in a moment"
+        );
+        for (link, url, cause) in [
+            (Link::Reconnecting, "can://can0", "can0 is down: bring it up with sudo ip link set can0 up"),
+            (Link::Released, "tcp://192.168.1.20:1000", "by http:10.0.0.5; a `connect` request restores the link"),
+        ] {
+            assert!(said(link, url, Some(cause)).ends_with(&format!("({link}): {cause}")), "{cause}");
         }
     }
 }

@@ -233,7 +233,8 @@ fn get_overdrive(call: &Call) -> SettingResult<OverdriveAnswer> {
     let state = gripper.handle.state();
     let never_heard = || Failure::LinkDown {
         link: state.link,
-        cause: state.link_cause.clone().unwrap_or_else(|| "the device has not reported its flags yet".to_owned()),
+        url: gripper.handle.info().url.clone(),
+        cause: state.link_cause.clone(),
     };
     let flags = state.flags_raw.ok_or_else(never_heard)?;
     Ok(overdrive_of(&gripper, SystemState::from_bits_retain(flags)))

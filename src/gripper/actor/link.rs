@@ -125,6 +125,8 @@ enum LinkState {
 #[derive(Debug)]
 pub(super) struct DeviceLink {
     gripper: Name,
+    /// Address of the device.
+    pub url: String,
     pub properties: LinkProperties,
     state: LinkState,
     /// Session; present while the link is not down.
@@ -148,10 +150,11 @@ pub(super) struct DeviceLink {
 }
 
 impl DeviceLink {
-    pub(super) fn new(gripper: Name, properties: LinkProperties) -> Self {
+    pub(super) fn new(gripper: Name, url: String, properties: LinkProperties) -> Self {
         Self {
             wire_log: WireLog::new(gripper.clone()),
             gripper,
+            url,
             properties,
             state: LinkState::Down,
             session: None,
@@ -215,8 +218,7 @@ impl DeviceLink {
     }
 
     pub(super) fn failure(&self) -> Failure {
-        let cause = self.cause.clone().unwrap_or_else(|| "the link is being set up".to_owned());
-        Failure::LinkDown { link: self.status(), cause }
+        Failure::LinkDown { link: self.status(), url: self.url.clone(), cause: self.cause.clone() }
     }
 
     /// Starts the session and the setup of a new link.
@@ -241,7 +243,7 @@ impl DeviceLink {
             if self.is_up() {
                 tracing::warn!(gripper = %self.gripper, cause, "link lost");
             } else if self.cause.as_deref() != Some(cause) {
-                tracing::warn!(gripper = %self.gripper, cause, "connection failed");
+                tracing::warn!(gripper = %self.gripper, url = self.url, cause, "connection failed");
             }
             if session.is_some() {
                 self.unannounced = self.properties.connection_oriented;

@@ -148,7 +148,7 @@ impl Actor {
     pub fn new(config: ActorConfig) -> (Self, Watches) {
         let publication = Publication::new(&config);
         let (state, info) = publication.watch();
-        let link = DeviceLink::new(config.name.clone(), config.properties);
+        let link = DeviceLink::new(config.name.clone(), config.url.clone(), config.properties);
         let frames = link.frames();
         let actor = Self {
             ids: IdSource::new(config.seed),

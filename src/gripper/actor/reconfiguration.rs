@@ -39,6 +39,7 @@ impl Actor {
         self.recording.set_on_failure(config.on_journal_failure);
         if let Some(connector) = connector {
             self.observed = Observed::new(config.updates, config.properties.bytes_per_second);
+            self.link.url.clone_from(&config.url);
             self.link.properties = config.properties;
             self.link.unannounced = false;
             self.connector = Some(connector);

@@ -59,8 +59,8 @@ fn failure_has_status_and_code() {
         let (status, problem) = members(failure);
         (status, problem["code"].as_str().unwrap().to_owned())
     };
-    let cause = "no route to host".to_owned();
-    assert_eq!(code(Failure::LinkDown { link: Link::Reconnecting, cause }), (503, "link_down".to_owned()));
+    let (url, cause) = ("tcp://192.168.1.20:1000".to_owned(), Some("no route to host".to_owned()));
+    assert_eq!(code(Failure::LinkDown { link: Link::Reconnecting, url, cause }), (503, "link_down".to_owned()));
     assert_eq!(code(Failure::Draining), (503, "link_down".to_owned()));
     assert_eq!(code(Failure::DeviceTimeout { command: "Loop", waited_ms: 500 }), (504, "device_timeout".to_owned()));
     let detail = String::new();
