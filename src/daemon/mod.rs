@@ -190,7 +190,6 @@ async fn start(
         tracing::warn!("{EXPOSED}");
     }
     let (journal, recovered) = open_journal(&config)?;
-    log_unclean_end(&recovered);
     record_start(&config, &journal).await;
     let (draining, shutdown) = (CancellationToken::new(), CancellationToken::new());
     let registry = metrics::registry(&config, &journal)?;
@@ -239,7 +238,7 @@ async fn start(
         settings: settings.clone(),
     });
     let on_zenoh = config.zenoh.as_ref().map(|zenoh| zenoh_settings(zenoh, &context)).transpose()?;
-    tracing::info!(limit = shares.limit, http = shares.http, wsg_port = shares.wsg_port, "file descriptors shared out");
+    tracing::info!(limit = shares.limit, http = shares.http, wsg_port = shares.wsg_port, "connection limits set");
     let limits = http::ServerLimits::within(Bounds::of(shares.http));
     let (listener, listeners) = watch::channel(Arc::new(listener));
     let server = clients.accept.spawn(http::serve(listeners, context.clone(), limits, shutdown.clone()));
@@ -304,7 +303,8 @@ fn open_journal(config: &Config) -> Result<(Journal, Recovered), journal::OpenEr
         config::JournalPlace::File(path) => journal::JournalLocation::File(path.clone()),
         config::JournalPlace::Memory => journal::JournalLocation::Memory,
     };
-    Journal::open(place, journal::Retention { max_age: *max_age, max_bytes: *max_bytes })
+    let retention = journal::Retention { max_age: *max_age, max_bytes: *max_bytes };
+    Journal::open(place, retention).inspect(|(_, recovered)| log_unclean_end(recovered))
 }
 
 /// Logs the commands that a previous run left behind without an orderly shutdown.

@@ -172,7 +172,7 @@ impl Actor {
         };
         let effect = self.loss_effect(held.terms, last_heard);
         let name = &held.holder.name;
-        tracing::warn!(gripper = %self.config.name, holder = %name, ?cause, ?effect, "lease holder lost");
+        tracing::warn!(gripper = %self.config.name, holder = %name, %cause, %effect, "lease holder lost");
         self.record_lease(now, LeaseStep::Lost, &held.holder, Some((effect, cause)));
         self.withdraw_stale_scripts();
         match effect {

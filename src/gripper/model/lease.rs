@@ -219,8 +219,9 @@ pub enum LeaseStep {
 /// - `expired`: the lease ran out without use
 /// - `disconnected`: the connection bound to the lease ended without a release
 /// - `forbidden`: the holder may no longer move the gripper
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, strum::Display)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
 pub enum LossCause {
     Expired,
     Disconnected,
@@ -234,12 +235,29 @@ pub enum LossCause {
 /// - `finish`: the motion continued, and the gripper was reserved for the holder
 /// - `keep`: the part stayed held, and the gripper was reserved for the holder
 /// - `none`: no action, because nothing moved and no part was held
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, strum::Display)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
 pub enum LossEffect {
     FastStop,
     Stop,
     Finish,
     Keep,
     None,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn loss_has_the_same_words_in_the_log_as_in_events() {
+        for cause in [LossCause::Expired, LossCause::Disconnected, LossCause::Forbidden] {
+            assert_eq!(serde_json::to_value(cause).unwrap(), cause.to_string());
+        }
+        let still = [LossEffect::Finish, LossEffect::Keep, LossEffect::None];
+        for effect in [LossEffect::FastStop, LossEffect::Stop].into_iter().chain(still) {
+            assert_eq!(serde_json::to_value(effect).unwrap(), effect.to_string());
+        }
+    }
 }
