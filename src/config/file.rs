@@ -1,6 +1,7 @@
 //! The TOML file.
 
 use std::collections::BTreeSet;
+use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -26,9 +27,14 @@ impl File {
     /// # Errors
     /// [`ConfigError`] if the file cannot be read or its content is invalid.
     pub fn read(path: &Path) -> Result<Self, ConfigError> {
-        let place = ConfigPlace::File { path: owned(path), line: 1 };
-        let text = std::fs::read_to_string(path).map_err(|error| ConfigError::at(&place, error))?;
-        Self::parse(path, text)
+        let failed = |error: io::Error| {
+            let detail = match error.kind() {
+                io::ErrorKind::NotFound => "does not exist: check the path".to_owned(),
+                _ => format!("{error}: check that this is a text file that the gateway's user can read"),
+            };
+            ConfigError::at(&ConfigPlace::WholeFile(owned(path)), detail)
+        };
+        Self::parse(path, std::fs::read_to_string(path).map_err(failed)?)
     }
 
     /// Parses a file's text.

@@ -120,6 +120,15 @@ fn file_error_names_line_and_remedy() {
 }
 
 #[test]
+fn unreadable_file_is_named_without_a_line() {
+    let said = |path: &Path| File::read(path).unwrap_err().to_string();
+    assert_eq!(said(Path::new("no-such-file.toml")), "no-such-file.toml: does not exist: check the path");
+    let directory = std::env::temp_dir();
+    let error = said(&directory);
+    assert!(error.starts_with(&format!("{}: ", directory.display())) && error.contains("text file"), "{error}");
+}
+
+#[test]
 fn flag_error_names_remedy() {
     let mistake = |flags: Flags| Config::load(&flags).unwrap_err().to_string();
     let gripper = |text: &str| Flags { grippers: vec![text.to_owned()], ..flags() };

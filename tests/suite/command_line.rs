@@ -46,7 +46,7 @@ async fn wrong_argument_is_named_with_a_remedy() {
         (&["--gripper", "a=sim://wsg50", "--gripper", "a=sim://wsg50"], "give each its own"),
         (&["--gripper", "g=sim://wsg99"], "wsg50"),
         (&["--gripper", "g=sim://wsg50?part_mm=500"], "110"),
-        (&["--config", "no-such-file.toml"], "no-such-file.toml"),
+        (&["--config", "no-such-file.toml"], "no-such-file.toml: does not exist: check the path"),
         (&["sim", "tcp://127.0.0.1:0", "--model", "wsg99"], "wsg50"),
         (&["sim"], "URL"),
         (&["--nonsense"], "--nonsense"),
