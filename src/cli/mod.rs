@@ -164,7 +164,7 @@ pub fn run() -> anyhow::Result<()> {
         Some(Command::PackageFiles { directory }) => package::write(&directory, Cli::command()),
         Some(Command::Reload(args)) => {
             let changes = daemon::runtime()?.block_on(reload::reload(&args))?;
-            quietly(changes.iter().try_for_each(|change| writeln!(std::io::stdout(), "{change}")))
+            quietly(writeln!(std::io::stdout(), "{}", reload::described(&changes)))
         }
         Some(Command::Token(args)) => token::run(&args, std::io::stdout().lock()),
         Some(Command::Init(args)) => init::run(&args, std::io::stdout().lock()),

@@ -46,7 +46,13 @@ pub(super) struct ReloadArgs {
 #[derive(Deserialize)]
 struct Answer {
     changes: Option<Vec<String>>,
+    code: Option<String>,
     detail: Option<String>,
+}
+
+/// Describes the changes, one per line.
+pub(super) fn described(changes: &[String]) -> String {
+    if changes.is_empty() { "no changes".to_owned() } else { changes.join("\n") }
 }
 
 /// Reloads, and returns the changes.
@@ -69,7 +75,7 @@ pub(super) async fn reload(args: &ReloadArgs) -> anyhow::Result<Vec<String>> {
     let stream = TcpStream::connect((address, port)).await.with_context(unreachable)?;
     let mut request = Request::post("/api/v1/reload").header(HOST, format!("{host}:{port}"));
     request = request.header(CONTENT_TYPE, "application/json");
-    if let Some(token) = token {
+    if let Some(token) = &token {
         request = request.header(AUTHORIZATION, format!("Bearer {}", token.trim()));
     }
     let request = request.body(Full::new(Bytes::from_static(b"{}")))?;
@@ -86,6 +92,9 @@ pub(super) async fn reload(args: &ReloadArgs) -> anyhow::Result<Vec<String>> {
     let answer: Answer = serde_json::from_slice(&body).with_context(|| format!("{url} is not a gateway"))?;
     match answer {
         Answer { changes: Some(changes), .. } => Ok(changes),
+        Answer { code: Some(code), .. } if token.is_none() && code == "unauthorized" => {
+            bail!("the gateway at {url} needs a supervisor's token: pass --token-file FILE, or set WSG_GATEWAY_TOKEN")
+        }
         Answer { detail, .. } => bail!(detail.unwrap_or_else(|| format!("{url} is not a gateway"))),
     }
 }

@@ -232,6 +232,13 @@ async fn browser_signs_in_and_out() {
 }
 
 #[tokio::test]
+async fn reload_without_a_token_names_its_own_options() {
+    let (gateway, _) = guarded().await;
+    let ended = crate::harness::run(&["reload", "--url", &gateway.url("/")]).await;
+    assert!(!ended.status.success() && ended.stderr.contains("pass --token-file FILE, or set WSG_GATEWAY_TOKEN"));
+}
+
+#[tokio::test]
 async fn restricted_client_learns_which_grippers_exist_but_a_stranger_does_not() {
     let (gateway, secrets) = guarded().await;
     let home = gateway.url("/api/v1/grippers/lefft/home");

@@ -153,6 +153,8 @@ async fn command_reloads_and_prints_the_changes() {
     let url = one.gateway.url("/");
     let ended = run(&["reload", "--url", &url]).await;
     assert!(ended.status.success() && ended.stdout == "hosts: changed", "{ended:?}");
+    let ended = run(&["reload", "--url", &url]).await;
+    assert!(ended.status.success() && ended.stdout == "no changes", "{ended:?}");
     std::fs::write(&one.file, "nonsense = 1").unwrap();
     let ended = run(&["reload", "--url", &url]).await;
     assert!(!ended.status.success() && ended.stderr.contains("nonsense"), "{ended:?}");
