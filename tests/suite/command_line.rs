@@ -76,7 +76,7 @@ async fn occupied_port_is_a_clear_error_and_sends_no_frame() {
     assert!(said.contains(&format!("cannot listen on {address}")) && said.contains("--listen"), "{said}");
     assert_eq!(proxy.frames.len(), 0);
     let said = refused(&["sim", &format!("tcp://{address}")]).await;
-    assert!(said.contains("cannot listen"), "{said}");
+    assert!(said.contains("cannot listen: choose another address, or stop the program that listens there"), "{said}");
 }
 
 #[tokio::test]

@@ -5,7 +5,7 @@ use std::io::ErrorKind;
 use std::net::SocketAddr;
 use std::sync::Arc;
 
-use anyhow::{Context as _, ensure};
+use anyhow::ensure;
 use axum::body::Bytes;
 use axum::extract::{Path, State};
 use axum::http::StatusCode;
@@ -14,6 +14,7 @@ use axum::{Json, Router};
 use serde::Serialize;
 use tokio::net::TcpListener;
 
+use super::super::listen::failed;
 use super::ServedDevice;
 use crate::sim::{Change, Part, Snapshot};
 
@@ -75,7 +76,7 @@ type Refusal = (StatusCode, String);
 pub(super) async fn listen(address: SocketAddr) -> anyhow::Result<TcpListener> {
     ensure!(address.ip().is_loopback(), "--control {address} must be a loopback address: the port has no credentials");
     let listener = TcpListener::bind(address).await;
-    listener.with_context(|| format!("--control: cannot listen on {address}: choose another port"))
+    listener.map_err(|error| failed(format_args!("--control: cannot listen on {address}"), error))
 }
 
 /// Serves until it is cancelled.

@@ -7,11 +7,11 @@ use std::pin::Pin;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::task::{Context, Poll, ready};
 
-use anyhow::Context as _;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::UdpSocket;
 use url::Url;
 
+use super::super::listen::failed;
 use crate::transport::{Options, Pipe, UdpAddress};
 
 /// The port that devices listen on, and the port that they reply to (field practice).
@@ -30,7 +30,8 @@ impl Endpoint {
         let options = Options::of(url, &["reply_port"]).map_err(anyhow::Error::msg)?;
         let reply_port = options.port("reply_port").map_err(anyhow::Error::msg)?.unwrap_or(DEFAULT_REPLY_PORT);
         let host = url.host_str().unwrap_or_default().trim_start_matches('[').trim_end_matches(']');
-        let socket = UdpSocket::bind((host, url.port().unwrap_or(DEFAULT_PORT))).await.context("cannot listen")?;
+        let socket = UdpSocket::bind((host, url.port().unwrap_or(DEFAULT_PORT))).await;
+        let socket = socket.map_err(|error| failed("cannot listen", error))?;
         Ok(Self { socket: Arc::new(socket), reply_port })
     }
 

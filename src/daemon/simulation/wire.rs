@@ -8,6 +8,7 @@ use tokio::net::TcpListener;
 use tokio::sync::mpsc;
 use url::Url;
 
+use super::super::listen::failed;
 use super::{pty, udp};
 use crate::sim::Interface;
 use crate::transport::{Address, CanAddress, Pipe, TcpAddress};
@@ -97,7 +98,8 @@ impl Wire {
 
 async fn listen(url: &Url) -> anyhow::Result<Wire> {
     let addresses = url.socket_addrs(|| Some(DEFAULT_TCP_PORT))?;
-    Ok(Wire::Tcp(TcpListener::bind(addresses.as_slice()).await.context("cannot listen")?))
+    let listener = TcpListener::bind(addresses.as_slice()).await;
+    Ok(Wire::Tcp(listener.map_err(|error| failed("cannot listen", error))?))
 }
 
 async fn accept(listener: &TcpListener) -> io::Result<Pipe> {
