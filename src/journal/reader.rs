@@ -34,7 +34,7 @@ impl Reader {
     pub fn open(path: &Path) -> Result<Self, ReadError> {
         if !path.exists() {
             let path = path.display();
-            return Err(ReadError(format!("the journal {path} does not exist: name the gateway's journal file")));
+            return Err(ReadError(format!("the journal {path} does not exist: pass --journal PATH, or --name NAME")));
         }
         if let Some(no_file) = no_file(path) {
             return Err(ReadError(no_file));

@@ -117,6 +117,11 @@ async fn list_applies_its_filters() {
         let seqs: Vec<_> = lines.iter().filter_map(|line| line.split_whitespace().nth(1)).collect();
         assert_eq!(seqs, expected, "{arguments:?}");
     }
+    for command in ["list", "export"] {
+        let ended = run(&["journal", "--journal", &file.path(), command, "--gripper", "middle"]).await;
+        let expected = format!("no records match in {}: --journal PATH or --name NAME names", file.path());
+        assert!(ended.status.success() && ended.stderr.starts_with(&expected), "{ended:?}");
+    }
 }
 
 #[tokio::test]
@@ -171,7 +176,7 @@ async fn wrong_argument_is_named_with_a_remedy() {
     let path = file.path();
     let none = Path::new(&path).with_file_name("none.db");
     for (arguments, expected) in [
-        (&["--journal", none.to_str().unwrap(), "list"][..], "does not exist: name the gateway's journal file"),
+        (&["--journal", none.to_str().unwrap(), "list"][..], "does not exist: pass --journal PATH, or --name NAME"),
         (&["--journal", ":memory:", "list"], "name a file"),
         (&["--journal", &path, "list", "--kind", "links"], "expected one of `command`, `fast_stop`"),
         (&["--journal", &path, "list", "--kind", "link", "--grips"], "expected one of `home`, `move`"),

@@ -146,9 +146,12 @@ pub(super) fn run(journal: &JournalArgs, out: impl Write) -> anyhow::Result<()> 
         Command::List { which } => {
             let limit = which.limit.unwrap_or(LISTED);
             each_page(&Reader::open(&path)?, which, Order::Newest, limit, |bodies| list(&mut out, bodies))
+                .map(|count| report_none(count, &path))
         }
         Command::Follow { after, filters } => follow(&Reader::open(&path)?, *after, filters, &mut out),
-        Command::Export { format, which } => export(&Reader::open(&path)?, *format, which, &mut out),
+        Command::Export { format, which } => {
+            export(&Reader::open(&path)?, *format, which, &mut out).map(|count| report_none(count, &path))
+        }
         Command::Verify => check(&path, &mut out),
         Command::Backup { file } => copy(&path, file, &mut out),
     };
@@ -163,11 +166,20 @@ pub(super) fn run(journal: &JournalArgs, out: impl Write) -> anyhow::Result<()> 
     }
 }
 
+/// Says on standard error if there were no records, since the journal may be the wrong one.
+fn report_none(count: u64, path: &Path) {
+    if count == 0 {
+        let path = path.display();
+        let _ =
+            writeln!(io::stderr(), "no records match in {path}: --journal PATH or --name NAME names another journal");
+    }
+}
+
 fn list(out: &mut impl Write, bodies: &[Arc<str>]) -> io::Result<()> {
     bodies.iter().try_for_each(|body| writeln!(out, "{}", line::of(body)))
 }
 
-fn export(reader: &Reader, format: Format, which: &Which, out: &mut impl Write) -> anyhow::Result<()> {
+fn export(reader: &Reader, format: Format, which: &Which, out: &mut impl Write) -> anyhow::Result<u64> {
     let limit = which.limit.unwrap_or(u64::MAX);
     let columns = if which.grips { GRIP_COLUMNS } else { EVENT_COLUMNS };
     if format == Format::Csv {
@@ -185,14 +197,14 @@ fn export(reader: &Reader, format: Format, which: &Which, out: &mut impl Write) 
     })
 }
 
-/// Writes page after page until `limit` is reached or the records end.
+/// Writes page after page until `limit` is reached or the records end. Returns the number of records.
 fn each_page(
     reader: &Reader,
     which: &Which,
     order: Order,
     limit: u64,
     write: impl FnMut(&[Arc<str>]) -> io::Result<()>,
-) -> anyhow::Result<()> {
+) -> anyhow::Result<u64> {
     let order = value("--order", which.order.as_ref())?.unwrap_or(order);
     if which.grips {
         let query = GripQuery { order, ..which.filters.query()? };
@@ -208,18 +220,20 @@ fn pages<K>(
     mut limit: u64,
     read: impl Fn(&Query<K>) -> Result<Page, ReadError>,
     mut write: impl FnMut(&[Arc<str>]) -> io::Result<()>,
-) -> anyhow::Result<()> {
+) -> anyhow::Result<u64> {
+    let mut count = 0;
     while limit > 0 {
         query.limit = Limit::new(limit.min(PAGE))?;
         let page = read(&query)?;
         write(&page.bodies)?;
         limit -= page.bodies.len() as u64;
+        count += page.bodies.len() as u64;
         match page.next_cursor {
             Some(cursor) => query.cursor = Some(cursor.parse()?),
             None => break,
         }
     }
-    Ok(())
+    Ok(count)
 }
 
 fn follow(reader: &Reader, after: Option<u64>, filters: &Filters, out: &mut impl Write) -> anyhow::Result<()> {
