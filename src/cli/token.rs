@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use anyhow::{Context, bail};
 use clap::{Args, Subcommand};
 use jiff::{Span, Timestamp, Zoned};
+use strum::VariantArray as _;
 
 use crate::access::{NewToken, Role, StoredToken, TokenFile, TokenSecret};
 use crate::config::{AccessConfig, Config, Flags};
@@ -35,7 +36,7 @@ enum Command {
         #[arg(long)]
         name: Name,
         /// stop, observer, operator or supervisor
-        #[arg(long)]
+        #[arg(long, value_parser = role)]
         role: Role,
         /// A gripper that the token is for (repeatable) [default: all grippers]
         #[arg(long = "gripper", value_name = "NAME")]
@@ -77,6 +78,11 @@ pub(super) fn run(args: &TokenArgs, mut output: impl Write) -> anyhow::Result<()
         }
         Command::Revoke { name } => Ok(file.revoke(name)?),
     }
+}
+
+fn role(text: &str) -> Result<Role, String> {
+    let roles = Role::VARIANTS.iter().map(Role::to_string).collect::<Vec<_>>().join(", ");
+    text.parse().map_err(|_| format!("no role has this name: use one of {roles}"))
 }
 
 /// Creates a token for these grippers, or for all if the set is empty.

@@ -49,6 +49,7 @@ async fn wrong_argument_is_named_with_a_remedy() {
         (&["--config", "no-such-file.toml"], "no-such-file.toml: does not exist: check the path"),
         (&["sim", "tcp://127.0.0.1:0", "--model", "wsg99"], "wsg50"),
         (&["sim"], "URL"),
+        (&["token", "create", "--name", "a", "--role", "admin"], "use one of stop, observer, operator, supervisor"),
         (&["--nonsense"], "--nonsense"),
         (&["--zenoh-listen", "tcp/0.0.0.0:0"], "--insecure"),
         (&["--zenoh-connect", "nowhere"], "tcp/127.0.0.1:7447"),
