@@ -175,6 +175,10 @@ pub fn run() -> anyhow::Result<()> {
 fn check(flags: &Flags) -> anyhow::Result<()> {
     let config = Config::load(flags)?;
     daemon::check(&config)?;
+    daemon::check_files(&config)?;
+    for warning in &config.warnings {
+        let _ = writeln!(std::io::stderr(), "warning: {warning}");
+    }
     quietly(writeln!(std::io::stdout(), "configuration valid: {}", config.summary()))
 }
 

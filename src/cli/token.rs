@@ -58,7 +58,16 @@ enum Command {
 }
 
 pub(super) fn run(args: &TokenArgs, mut output: impl Write) -> anyhow::Result<()> {
-    let file = file(args)?;
+    let (file, config) = file(args)?;
+    if let Command::Create { grippers, .. } = &args.command
+        && args.config.is_some()
+    {
+        for gripper in grippers {
+            if let Some(warning) = unknown(gripper, &config) {
+                let _ = writeln!(std::io::stderr(), "warning: {warning}");
+            }
+        }
+    }
     match &args.command {
         Command::Create { name, role, grippers, expires, pin: true } => {
             let grippers = (!grippers.is_empty()).then(|| grippers.iter().cloned().collect());
@@ -97,15 +106,25 @@ pub(super) fn create(
     Ok(file.create(Timestamp::now(), NewToken { name, role, grippers, expires_at })?)
 }
 
-fn file(args: &TokenArgs) -> anyhow::Result<TokenFile> {
+/// Returns the file of tokens, and the configuration of its gateway.
+fn file(args: &TokenArgs) -> anyhow::Result<(TokenFile, Config)> {
     let flags = Flags { tokens: args.tokens.clone(), config: args.config.clone(), ..Flags::default() };
-    match (&args.tokens, Config::load(&flags)?.access) {
-        (Some(tokens), _) => Ok(TokenFile::at(tokens.clone())),
-        (None, AccessConfig::Guarded(guarded)) => Ok(TokenFile::at(guarded.tokens)),
+    let config = Config::load(&flags)?;
+    let file = match (&args.tokens, &config.access) {
+        (Some(tokens), _) => TokenFile::at(tokens.clone()),
+        (None, AccessConfig::Guarded(guarded)) => TokenFile::at(guarded.tokens.clone()),
         (None, AccessConfig::Open) => {
             bail!("no file of tokens: name it with --tokens, or name a --config file with an [access] table")
         }
-    }
+    };
+    Ok((file, config))
+}
+
+/// Returns why a token for this gripper has no effect on the gateway, if so. It can be meant for another gateway.
+fn unknown(gripper: &Name, config: &Config) -> Option<String> {
+    let names: Vec<_> = config.grippers.iter().map(|gripper| gripper.name.as_str()).collect();
+    let is_known = names.contains(&gripper.as_str());
+    (!is_known).then(|| format!("no gripper is named {gripper}: this gateway has {}", names.join(", ")))
 }
 
 /// Parses a lifetime. `never` has no end.
@@ -167,6 +186,16 @@ mod tests {
         said(&tokens, &["revoke", "plc7"]).unwrap();
         assert_eq!(said(&tokens, &["list"]).unwrap(), "");
         std::fs::remove_dir_all(directory).unwrap();
+    }
+
+    #[test]
+    fn wrong_role_and_unknown_gripper_are_named() {
+        let error = said(std::path::Path::new("none"), &["create", "--name", "plc7", "--role", "admin"]).unwrap_err();
+        assert!(error.to_string().contains("use one of stop, observer, operator, supervisor"), "{error}");
+        let config = Config::load(&Flags::default()).unwrap();
+        let unknown = |name: &str| unknown(&name.parse().unwrap(), &config);
+        assert_eq!(unknown("left"), None);
+        assert_eq!(unknown("lefft").unwrap(), "no gripper is named lefft: this gateway has left, right");
     }
 
     #[test]

@@ -9,7 +9,7 @@ use serde::Deserialize;
 use toml::Spanned;
 
 use super::journal::bounded;
-use super::{ConfigError, File, Flags, Placed};
+use super::{ConfigError, ConfigPlace, File, Flags, GripperConfig, Placed};
 use crate::access::{ClientMatch, FastStopPolicy, KnownClient, Role, Scope, SessionTimes};
 use crate::gripper::model::Name;
 
@@ -58,6 +58,15 @@ pub struct TlsConfig {
     pub client_ca: Option<PathBuf>,
 }
 
+/// Places of the files for TLS in the configuration.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct TlsPlaces {
+    pub certificate: ConfigPlace,
+    pub key: ConfigPlace,
+    /// Place of the certificate if there is none.
+    pub client_ca: ConfigPlace,
+}
+
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct AccessContent {
@@ -82,14 +91,18 @@ impl ClientContent {
     pub(super) fn has_address(&self) -> bool {
         self.address.is_some()
     }
+
+    fn grippers(&self) -> impl Iterator<Item = &Spanned<String>> {
+        self.grippers.iter().flatten()
+    }
 }
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct TlsContent {
-    certificate: PathBuf,
-    key: PathBuf,
-    client_ca: Option<PathBuf>,
+    certificate: Spanned<PathBuf>,
+    key: Spanned<PathBuf>,
+    client_ca: Option<Spanned<PathBuf>>,
 }
 
 impl AccessConfig {
@@ -176,8 +189,30 @@ fn network(text: &str) -> Result<IpNet, String> {
 
 pub(super) fn tls(file: Option<&File>) -> Option<TlsConfig> {
     let (file, tls) = file.and_then(|file| Some((file, file.content.tls.as_ref()?)))?;
-    let client_ca = tls.client_ca.as_ref().map(|path| file.beside(path));
-    Some(TlsConfig { certificate: file.beside(&tls.certificate), key: file.beside(&tls.key), client_ca })
+    let beside = |path: &Spanned<PathBuf>| file.beside(path.get_ref());
+    let client_ca = tls.client_ca.as_ref().map(beside);
+    Some(TlsConfig { certificate: beside(&tls.certificate), key: beside(&tls.key), client_ca })
+}
+
+pub(super) fn tls_places(file: Option<&File>) -> Option<TlsPlaces> {
+    let (file, tls) = file.and_then(|file| Some((file, file.content.tls.as_ref()?)))?;
+    let place = |path: &Spanned<PathBuf>| file.place(path.span().start);
+    let client_ca = place(tls.client_ca.as_ref().unwrap_or(&tls.certificate));
+    Some(TlsPlaces { certificate: place(&tls.certificate), key: place(&tls.key), client_ca })
+}
+
+/// Returns the names in `[[clients]]` that no gripper has. A client can wait for its gripper, so these are no errors.
+pub(super) fn unknown_grippers(file: Option<&File>, grippers: &[GripperConfig]) -> Vec<ConfigError> {
+    let Some(file) = file else { return Vec::new() };
+    let is_unknown = |name: &&Spanned<String>| !grippers.iter().any(|gripper| gripper.name.as_str() == name.get_ref());
+    let names: Vec<_> = grippers.iter().map(|gripper| gripper.name.as_str()).collect();
+    let warning = |(client, name): (&ClientContent, &Spanned<String>)| {
+        let (client, gripper, names) = (client.name.get_ref(), name.get_ref(), names.join(", "));
+        let detail = format!("client {client} is for the gripper {gripper}, but this gateway has only {names}");
+        ConfigError::at(&file.place(name.span().start), detail)
+    };
+    let of_client = |client| ClientContent::grippers(client).filter(is_unknown).map(move |name| (client, name));
+    file.content.clients.iter().flat_map(of_client).map(warning).collect()
 }
 
 /// Checks that clients on an address other than loopback need credentials, which are not sent in the clear.

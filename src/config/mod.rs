@@ -33,7 +33,7 @@ mod webhooks;
 mod wsg_port;
 mod zenoh;
 
-pub use access::{AccessConfig, Guarded, TlsConfig};
+pub use access::{AccessConfig, Guarded, TlsConfig, TlsPlaces};
 pub use file::File;
 pub use journal::{JournalConfig, JournalFlags, JournalPlace};
 pub use modbus::Modbus;
@@ -119,6 +119,8 @@ pub struct Config {
     pub access: AccessConfig,
     /// `None` if connections are not encrypted.
     pub tls: Option<TlsConfig>,
+    /// Places of these files in the configuration.
+    pub tls_places: Option<TlsPlaces>,
     /// Time after which an idle HTTP connection is closed.
     pub idle_timeout: Duration,
     /// URL at which users of other gateways reach this dashboard.
@@ -136,6 +138,8 @@ pub struct Config {
     /// `None` if Zenoh is off.
     pub zenoh: Option<Zenoh>,
     pub webhooks: Vec<WebhookSettings>,
+    /// Settings that are valid but probably mistaken.
+    pub warnings: Vec<ConfigError>,
 }
 
 /// One gripper.
@@ -276,26 +280,28 @@ impl Config {
             let insecure_http = content.is_some_and(|content| content.insecure_http);
             access::check_exposure(&listen, &access, tls.is_some(), insecure_http)?;
         }
-        let config = Self {
+        let grippers = grippers(flags, file, insecure)?;
+        Ok(Self {
+            warnings: access::unknown_grippers(file, &grippers),
             journal: JournalConfig::merge(flags, file, &name)?,
             name,
             listen: listen.value,
             access,
             tls,
+            tls_places: access::tls_places(file),
             hosts: content.map(|content| content.hosts.clone()).unwrap_or_default(),
             cors_origins: origins(file, "cors_origins", |content| &content.cors_origins)?,
             frame_ancestors: origins(file, "frame_ancestors", |content| &content.frame_ancestors)?,
             idle_timeout: idle_timeout(file)?,
             public_url: public_url::public_url(file)?,
             mdns: content.is_some_and(|content| content.mdns),
-            grippers: grippers(flags, file, insecure)?,
+            grippers,
             drain: drain(file)?,
             drift: drift::limits(file)?,
             modbus: Modbus::merge(flags, file, insecure || has_known_addresses(file))?,
             zenoh: Zenoh::merge(flags, file, insecure)?,
             webhooks: file.map(webhooks::settings).transpose()?.unwrap_or_default(),
-        };
-        Ok(config)
+        })
     }
 }
 

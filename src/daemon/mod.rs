@@ -108,6 +108,16 @@ pub fn check(config: &Config) -> Result<(), ConfigError> {
     Ok(())
 }
 
+/// Checks the files that the configuration names. Reads them, but changes nothing.
+///
+/// # Errors
+/// The first file that the gateway could not start with, and the remedy.
+pub fn check_files(config: &Config) -> anyhow::Result<()> {
+    settings::of_http(config, None)?;
+    settings::of_access(config)?;
+    Ok(())
+}
+
 async fn run_gateway(flags: &Flags, config: Config, runtimes: &runtimes::Owned, shares: Shares) -> anyhow::Result<()> {
     let stop = stop_signal()?;
     let running = start(flags, config, runtimes, shares).await?;
@@ -186,6 +196,7 @@ async fn start(
     let modbus = modbus::bind(&config, shares.wsg_port)?;
     let settings = http::SharedSettings::new(settings::of_http(&config, None)?);
     let access = Arc::new(Access::new(settings::of_access(&config)?));
+    settings::log_warnings(&config);
     if access.is_exposed() {
         tracing::warn!("{EXPOSED}");
     }

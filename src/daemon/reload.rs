@@ -110,6 +110,7 @@ impl Reloader {
         let changes = prepared.changes.clone();
         // With the same configuration, the files that it names can still be new.
         self.apply(prepared).await.map_err(ReloadError::Partial)?;
+        settings::log_warnings(&self.config);
         if !changes.is_empty() {
             let detail = Detail::Gateway(GatewayEvent::Reloaded { changes: changes.clone() });
             let event = Event::new(Now::read().wall, None, detail);

@@ -2,11 +2,13 @@
 
 use std::sync::Arc;
 
+use anyhow::anyhow;
+
 use crate::access::{AccessRules, Guard, TokenFile, TokenFileError};
-use crate::config::{self, AccessConfig, Config, TlsConfig};
+use crate::config::{self, AccessConfig, Config, ConfigError, TlsConfig};
 use crate::interfaces::dashboard::DashboardPolicy;
 use crate::interfaces::http::HttpSettings;
-use crate::interfaces::tls::{Tls, TlsFiles};
+use crate::interfaces::tls::{Tls, TlsError, TlsFiles};
 
 /// Returns the settings of HTTP. Keeps the certificate in use if its files are the same.
 pub(super) fn of_http(config: &Config, before: Option<Arc<Tls>>) -> anyhow::Result<HttpSettings> {
@@ -14,7 +16,7 @@ pub(super) fn of_http(config: &Config, before: Option<Arc<Tls>>) -> anyhow::Resu
         let files = TlsFiles { certificate, key, client_ca };
         match before.filter(|before| *before.files() == files) {
             Some(before) => Ok(before),
-            None => Tls::new(files).map(Arc::new),
+            None => Tls::new(files).map(Arc::new).map_err(|error| named(config, &error)),
         }
     });
     Ok(HttpSettings {
@@ -24,6 +26,32 @@ pub(super) fn of_http(config: &Config, before: Option<Arc<Tls>>) -> anyhow::Resu
         tls: tls.transpose()?,
         idle_time: config.idle_timeout,
     })
+}
+
+/// Adds to an error of TLS the place and the key of the wrong file.
+fn named(config: &Config, error: &TlsError) -> anyhow::Error {
+    let (Some(files), Some(places)) = (&config.tls, &config.tls_places) else { return anyhow!("{error}") };
+    let (key, place) = match error.path() {
+        path if *path == files.certificate => ("certificate", &places.certificate),
+        path if *path == files.key => ("key", &places.key),
+        _ => ("client_ca", &places.client_ca),
+    };
+    ConfigError::at(place, format_args!("{key}: {error}")).into()
+}
+
+/// Logs settings that are valid but probably mistaken.
+pub(super) fn log_warnings(config: &Config) {
+    for setting in &config.warnings {
+        tracing::warn!(%setting, "setting without effect: check the names of grippers");
+    }
+    // Clients that are known by addresses or certificates need no tokens.
+    if let AccessConfig::Guarded(guarded) = &config.access
+        && guarded.clients.is_empty()
+        && !guarded.tokens.exists()
+    {
+        let file = guarded.tokens.display();
+        tracing::warn!(%file, "token file missing, so tokens are refused: create one with wsg-gateway token create");
+    }
 }
 
 /// Reads the credentials of clients.

@@ -56,12 +56,17 @@ pub(super) fn secrets(installation: &Installation) -> Vec<Diagnosis> {
             Err(error) => Diagnosis::problem("tls", error),
         });
     }
-    if let AccessConfig::Guarded(Guarded { tokens, .. }) = &config.access {
-        findings.push(match TokenFile::at(tokens.clone()).list() {
-            Ok(tokens) if tokens.is_empty() => Diagnosis::warning(
-                "tokens",
-                "no token exists, so nobody can sign in: create one with `wsg-gateway token create`",
-            ),
+    if let AccessConfig::Guarded(Guarded { tokens: path, clients, .. }) = &config.access {
+        let shown = path.display();
+        findings.push(match TokenFile::at(path.clone()).list() {
+            Ok(tokens) if tokens.is_empty() && !clients.is_empty() => {
+                Diagnosis::good("tokens", format_args!("{shown} has no token, so only [[clients]] have rights"))
+            }
+            Ok(tokens) if tokens.is_empty() => {
+                let state = if path.exists() { "has no token" } else { "does not exist" };
+                let remedy = "check the path, or create a token with `wsg-gateway token create`";
+                Diagnosis::warning("tokens", format_args!("{shown} {state}, so nobody can sign in: {remedy}"))
+            }
             Ok(tokens) => Diagnosis::good("tokens", format_args!("tokens: {}", tokens.len())),
             Err(error) => Diagnosis::problem("tokens", error),
         });

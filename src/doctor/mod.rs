@@ -92,6 +92,7 @@ pub async fn examine(flags: &Flags, mut report: impl FnMut(&Diagnosis)) {
         Err(error) => return report(&Diagnosis::problem("configuration", error)),
     };
     report(&Diagnosis::good("configuration", config.summary()));
+    config.warnings.iter().for_each(|warning| report(&Diagnosis::warning("configuration", warning)));
     let running = running::GatewayState::find(&config).await;
     let installation = Installation { config, file: flags.config.clone(), running };
     CHECKS.iter().flat_map(|check| check(&installation)).for_each(|finding| report(&finding));

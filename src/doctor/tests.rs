@@ -211,6 +211,9 @@ async fn token_file_that_others_can_read_is_named() {
     let new = NewToken { name, role, grippers: None, expires_at: None };
     TokenFile::at(tokens.clone()).create(jiff::Timestamp::now(), new).unwrap();
     assert!(findings(&flags).await.iter().any(|finding| finding.text == "tokens: 1"));
+    let other = Flags { tokens: Some(place.0.join("other.json")), ..flags.clone() };
+    let missing = findings(&other).await.into_iter().find(|finding| finding.check == "tokens").unwrap();
+    assert!(missing.severity == Severity::Warning && missing.text.contains("other.json does not exist"), "{missing}");
     fs::set_permissions(&tokens, fs::Permissions::from_mode(0o644)).unwrap();
     assert_problem(&flags, "tokens", &["tokens.json can be read by others (mode 644)", "run chmod 600"]).await;
 }

@@ -55,7 +55,7 @@ type Written = [Option<SystemTime>; 3];
 /// Reason why a certificate cannot be used, with the remedy.
 #[derive(Debug, thiserror::Error)]
 pub enum TlsError {
-    #[error("{path}: {cause}")]
+    #[error("{path}: {cause}: check the path, and that the gateway's user can read the file")]
     File { path: PathBuf, cause: io::Error },
     #[error("{path} can be read by everyone (mode {mode:03o}): run chmod 600 {path}")]
     Exposed { path: PathBuf, mode: u32 },
@@ -65,6 +65,20 @@ pub enum TlsError {
     Unusable { certificate: PathBuf, key: PathBuf, cause: rustls::Error },
     #[error("{path} cannot be used to check clients' certificates: {cause}")]
     NoAuthority { path: PathBuf, cause: String },
+}
+
+impl TlsError {
+    /// The file that is wrong. A key that does not fit is wrong, too.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        match self {
+            Self::File { path, .. }
+            | Self::Exposed { path, .. }
+            | Self::Pem { path, .. }
+            | Self::NoAuthority { path, .. } => path,
+            Self::Unusable { key, .. } => key,
+        }
+    }
 }
 
 impl Tls {

@@ -232,6 +232,16 @@ async fn browser_signs_in_and_out() {
 }
 
 #[tokio::test]
+async fn missing_token_file_is_reported_unless_clients_are_known_otherwise() {
+    let missing = "token file missing, so tokens are refused";
+    let gateway = Gateway::with_file(&[], "[access]\ntokens = \"nosuch.json\"\n").await;
+    gateway.until_logged(missing).await;
+    assert!(gateway.log().contains("nosuch.json"), "{}", gateway.log());
+    let (gateway, _port) = port_of_known_clients("observer").await;
+    assert!(!gateway.log().contains(missing), "{}", gateway.log());
+}
+
+#[tokio::test]
 async fn reload_without_a_token_names_its_own_options() {
     let (gateway, _) = guarded().await;
     let ended = crate::harness::run(&["reload", "--url", &gateway.url("/")]).await;

@@ -1,6 +1,8 @@
 //! The command line: startup, errors and output.
 
+use std::fs::Permissions;
 use std::net::TcpListener;
+use std::os::unix::fs::PermissionsExt as _;
 use std::process::Command;
 
 use crate::harness::{Directory, Gateway, Simulator, run};
@@ -108,8 +110,45 @@ async fn configuration_guide_has_a_valid_file() {
     let (_, example) = guide.split_once("```toml\n").expect("an example in TOML");
     let (example, _) = example.split_once("```").unwrap();
     let files = Directory::new();
+    assert!(run(&["certificate", files.path()]).await.status.success());
+    std::fs::copy(files.file("certificate.pem"), files.file("clients-ca.pem")).unwrap();
     let ended = run(&["check", "--config", &files.write("guide.toml", example)]).await;
-    assert!(ended.status.success(), "{ended:?}");
+    assert!(ended.status.success() && ended.stderr.is_empty(), "{ended:?}");
+}
+
+#[tokio::test]
+async fn check_names_files_that_cannot_be_used() {
+    let files = Directory::new();
+    let config = &files.write("gateway.toml", "\n[tls]\ncertificate = \"a.pem\"\nkey = \"key.pem\"\n");
+    for arguments in [&["check", "--config", config][..], &["--listen", "127.0.0.1:0", "--config", config]] {
+        let said = refused(arguments).await;
+        assert!(said.contains("gateway.toml:3: certificate: ") && said.contains("a.pem: No such file"), "{said}");
+    }
+    assert!(run(&["certificate", files.path()]).await.status.success());
+    std::fs::rename(files.file("certificate.pem"), files.file("a.pem")).unwrap();
+    assert!(run(&["check", "--config", config]).await.status.success());
+    std::fs::remove_file(files.file("key.pem")).unwrap();
+    let said = refused(&["check", "--config", config]).await;
+    assert!(said.contains("gateway.toml:4: key: ") && said.contains("check the path"), "{said}");
+    let tokens = files.write("tokens.json", "{}");
+    std::fs::set_permissions(&tokens, Permissions::from_mode(0o644)).unwrap();
+    let said = refused(&["check", "--tokens", &tokens]).await;
+    assert!(said.contains("tokens.json can be read by others (mode 644): run chmod 600"), "{said}");
+}
+
+#[tokio::test]
+async fn unknown_gripper_of_a_client_or_token_is_a_warning() {
+    let files = Directory::new();
+    let client = "[[clients]]\nname = \"plc\"\naddress = \"192.168.1.10\"\nrole = \"operator\"\ngrippers = [\"lft\"]\n";
+    let config = &files.write("gateway.toml", &format!("{client}[grippers.left]\nurl = \"sim://wsg50\"\n"));
+    let checked = run(&["check", "--config", config]).await;
+    assert!(checked.status.success(), "{checked:?}");
+    let expected = "gateway.toml:5: client plc is for the gripper lft, but this gateway has only left";
+    assert!(checked.stderr.starts_with("warning: ") && checked.stderr.contains(expected), "{checked:?}");
+    let create = ["token", "--config", config, "create", "--name", "robot", "--role", "operator", "--gripper"];
+    let created = run(&[&create[..], &["lefft"]].concat()).await;
+    assert!(created.status.success() && created.stdout.starts_with("wsg_"), "{created:?}");
+    assert_eq!(created.stderr, "warning: no gripper is named lefft: this gateway has left");
 }
 
 #[tokio::test]
