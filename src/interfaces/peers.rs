@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use ipnet::IpNet;
 
-use crate::access::{Access, Identity, Proof, Role, Unauthorized};
-use crate::gripper::model::{Client, Door};
+use crate::access::{Access, Identity, Proof, Right, Role, Unauthorized};
+use crate::gripper::model::{Client, Door, Name};
 
 /// The addresses that may connect, and the clients that the configuration knows by their addresses.
 #[derive(Debug)]
@@ -46,6 +46,12 @@ impl KnownPeers {
         let operator = || Identity { role: Role::Operator, proof: Proof::Address, ..Identity::anyone() };
         let identity = self.identity(peer).or_else(|| self.allows(peer).then(operator));
         identity.ok_or(Unauthorized::Missing)
+    }
+
+    /// Whether a client may move this gripper.
+    #[must_use]
+    pub fn may_move(&self, peer: IpAddr, gripper: &Name) -> bool {
+        self.operator(peer).is_ok_and(|identity| identity.may(Right::Operate, Some(gripper)))
     }
 
     /// Returns a client with its configured name, or else identified by its IP address. A client keeps

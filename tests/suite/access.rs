@@ -134,6 +134,20 @@ async fn zenoh_client_needs_a_token_for_changes() {
     assert_eq!(code(ask("fast-stop", "").await), Value::Null);
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn bound_lease_ends_with_the_token_of_its_holder() {
+    let (gateway, secrets) = guarded().await;
+    let (robot, other) = (ZenohClient::of(&gateway).await, ZenohClient::of(&gateway).await);
+    let _token = robot.live(&other, "wsg/v1/gateway/client/robot-1").await;
+    let take = format!("lease.take?token={}", secrets[1]);
+    let lease = robot.command(&take, &json!({"holder": "robot-1"})).await.unwrap();
+    assert_eq!(lease["bound_to"], "token", "{lease}");
+    gateway.revoke("robot").await;
+    gateway.until("the lease is free", |state| state["lease_holder"].is_null()).await;
+    let events = gateway.events("kind=lease", 2).await;
+    assert_eq!((&events[0]["event"], &events[0]["cause"]), (&json!("lost"), &json!("forbidden")), "{events:?}");
+}
+
 #[tokio::test]
 async fn routes_without_an_operation_need_the_right_to_read() {
     let (gateway, secrets) = guarded().await;

@@ -1,5 +1,6 @@
 //! The identity of a client on Zenoh.
 
+use crate::access::{Access, ClientOrigin, Credential, Identity, Unauthorized};
 use crate::gripper::model::{Client, Door, ShownName};
 
 /// Maximum length of a client's name, in bytes.
@@ -9,4 +10,16 @@ const MAX_CLIENT_BYTES: usize = 64;
 pub fn client(name: Option<&ShownName<MAX_CLIENT_BYTES>>) -> Client {
     let name = name.map_or("unknown", ShownName::as_str);
     Client::new(format!("zenoh:{name}"), Door::Zenoh)
+}
+
+/// Returns the rights of a client: those of its token, or else those of the Zenoh network, which has an access control
+/// of its own.
+///
+/// # Errors
+/// The reason why the token is refused.
+pub fn identity(access: &Access, credential: &Credential) -> Result<Identity, Unauthorized> {
+    match credential {
+        Credential::None => Ok(access.of_network()),
+        credential => access.identify(credential, &ClientOrigin::default()),
+    }
 }

@@ -6,6 +6,8 @@
 //!   declared a token, and reports its end only after the last session with that key is gone. Use Zenoh's access control
 //!   to restrict who may declare it.
 //!
+//! Once a second, the rights of each holder are checked. A holder that may no longer move the gripper loses the lease.
+//!
 //! A bound lease taken without a `ttl_ms` does not expire without use. The reply to `lease.take` says what the lease is
 //! bound to.
 
@@ -19,6 +21,8 @@ use tokio::sync::Semaphore;
 use zenoh::sample::{Sample, SampleKind};
 use zenoh::session::{TransportEvent, ZenohId};
 
+use super::client::identity;
+use crate::access::{Access, Credential, Right};
 use crate::fleet::keys::{ZenohKeys, last_part};
 use crate::gripper::model::{LossCause, Name};
 use crate::interfaces::metrics::{Connected, InterfaceMetrics};
@@ -38,12 +42,16 @@ const MAX_NAME_BYTES: usize = 32;
 /// Time limit for looking up a token in Zenoh.
 const LOOKED_UP_WITHIN: Duration = Duration::from_millis(500);
 
+/// Interval in which the rights of lease holders are checked.
+const RIGHTS_CHECKED_EVERY: Duration = Duration::from_secs(1);
+
 /// The Zenoh clients of one gateway and their leases.
 #[derive(Debug)]
 pub struct Clients {
     keys: ZenohKeys,
     runtime: Handle,
     metrics: InterfaceMetrics,
+    access: Arc<Access>,
     session: OnceLock<zenoh::Session>,
     known: Mutex<KnownClients>,
 }
@@ -62,6 +70,8 @@ struct KnownClients {
 struct BoundLease {
     bond: Option<Bond>,
     taken: Arc<ConnectionLease>,
+    /// Credential with which the lease was taken.
+    credential: Credential,
     slots: QuerySlots,
 }
 
@@ -117,8 +127,8 @@ impl KnownClients {
 }
 
 impl Clients {
-    pub fn new(keys: ZenohKeys, runtime: Handle, metrics: InterfaceMetrics) -> Self {
-        Self { keys, runtime, metrics, session: OnceLock::new(), known: Mutex::default() }
+    pub fn new(keys: ZenohKeys, runtime: Handle, metrics: InterfaceMetrics, access: Arc<Access>) -> Self {
+        Self { keys, runtime, metrics, access, session: OnceLock::new(), known: Mutex::default() }
     }
 
     /// Watches client tokens and connections, including existing ones.
@@ -176,17 +186,39 @@ impl Clients {
 
     /// Tracks a lease that was just taken. Without a bond, the lease expires without use. If its bond has ended since
     /// the request, the lease is lost.
-    pub fn bind(&self, bond: Option<Bond>, taken: Arc<ConnectionLease>) {
+    pub fn bind(&self, bond: Option<Bond>, taken: Arc<ConnectionLease>, credential: Credential) {
         let mut known = self.known();
         if bond.as_ref().is_some_and(|bond| !known.has(bond)) {
             drop(known);
-            self.lose(taken);
+            self.lose(taken, LossCause::Disconnected);
             return;
         }
         let taken = if bond.is_some() { taken } else { Arc::new(taken.without_keep()) };
         let [waiting, stops, others] = [MAX_QUERIES; 3].map(|slots| Some(Arc::new(Semaphore::new(slots))));
         let slots = QuerySlots { waiting, stops, others };
-        known.leases.insert(taken.gripper().clone(), BoundLease { bond, taken, slots });
+        known.leases.insert(taken.gripper().clone(), BoundLease { bond, taken, credential, slots });
+    }
+
+    /// Ends the leases of holders that may no longer move the gripper. Never returns.
+    pub async fn check_rights(self: Arc<Self>) {
+        loop {
+            tokio::time::sleep(RIGHTS_CHECKED_EVERY).await;
+            self.lose_forbidden_leases();
+        }
+    }
+
+    fn lose_forbidden_leases(&self) {
+        let holder = |bound: &BoundLease| (bound.taken.clone(), bound.credential.clone());
+        let holders: Vec<_> = self.known().leases.values().map(holder).collect();
+        for (taken, credential) in holders {
+            let identity = identity(&self.access, &credential);
+            if identity.is_ok_and(|identity| identity.may(Right::Operate, Some(taken.gripper()))) {
+                continue;
+            }
+            // The gripper can have a newer lease by now.
+            self.known().leases.retain(|_, bound| !Arc::ptr_eq(&bound.taken, &taken));
+            self.lose(taken, LossCause::Forbidden);
+        }
     }
 
     fn connection(&self, zid: ZenohId, kind: SampleKind) {
@@ -228,12 +260,12 @@ impl Clients {
 
     fn end(&self, mut known: std::sync::MutexGuard<'_, KnownClients>, bond: &Bond) {
         for (_, bound) in known.leases.extract_if(|_, bound| bound.bond.as_ref() == Some(bond)) {
-            self.lose(bound.taken);
+            self.lose(bound.taken, LossCause::Disconnected);
         }
     }
 
-    fn lose(&self, taken: Arc<ConnectionLease>) {
-        self.runtime.spawn(async move { taken.lose(LossCause::Disconnected).await });
+    fn lose(&self, taken: Arc<ConnectionLease>, cause: LossCause) {
+        self.runtime.spawn(async move { taken.lose(cause).await });
     }
 
     fn known(&self) -> std::sync::MutexGuard<'_, KnownClients> {

@@ -139,12 +139,13 @@ async fn declare(session: &zenoh::Session, context: &Context, max_hz: u32) -> ze
     let keys = ZenohKeys::of(&gateway.name);
     // FAST STOP comes first, since fingers can already be moving.
     FastStops::new(gateway.grippers.clone(), runtimes.accept.clone()).declare(session, &keys).await?;
-    let clients = Arc::new(Clients::new(keys.clone(), Handle::current(), metrics.clone()));
+    let clients = Arc::new(Clients::new(keys.clone(), Handle::current(), metrics.clone(), gateway.access.clone()));
     clients.declare(session).await?;
     let alive = gateway.peers.join(session).await?;
-    let queries = Arc::new(Queries::new(keys.clone(), gateway, clients, metrics.clone()));
+    let queries = Arc::new(Queries::new(keys.clone(), gateway, clients.clone(), metrics.clone()));
     queries.declare(session).await?;
     let mut tasks = JoinSet::new();
+    tasks.spawn(clients.check_rights());
     tasks.spawn(gateway.peers.watch_twins(session));
     tasks.spawn_on(publications::publish_events(session.clone(), keys.clone(), context.clone()), &runtimes.observers);
     let mut declared = Declarations { keys, queries, grippers: Vec::new(), max_hz, alive, _tasks: tasks };

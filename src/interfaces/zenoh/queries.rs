@@ -16,9 +16,9 @@ use zenoh::bytes::Encoding;
 use zenoh::query::{Query, Queryable};
 use zenoh::session::ZenohId;
 
-use super::client::client;
+use super::client::{client, identity};
 use super::clients::{Bond, Clients, MAX_QUERIES};
-use crate::access::{ClientOrigin, Credential, Identity, Right, Unauthorized};
+use crate::access::{Credential, Identity, Right, Unauthorized};
 use crate::fleet::keys::{COMMAND, ZenohKeys, decoded, last_part};
 use crate::fleet::{EVENTS, GRIPS, READINESS, TOKEN};
 use crate::gripper::model::{Client, Door, Name, Text, Urgency};
@@ -300,7 +300,7 @@ impl Queries {
 
     async fn call(&self, asked: ParsedQuery) -> Result<Box<RawValue>, Problem> {
         let caller = self.caller(&asked);
-        let ParsedQuery { method, params, zid, .. } = asked;
+        let ParsedQuery { method, params, zid, credential, .. } = asked;
         let bond = if method == lease::TAKE.name { self.clients.bond(holder(&params), zid).await } else { None };
         let result = operations::call(&self.gateway, caller, &method, Value::Object(params)).await;
         let status = result.as_ref().map_or_else(|problem| problem.status().as_u16(), |_| 200);
@@ -308,7 +308,7 @@ impl Queries {
         let OperationReply { body, effect, .. } = result?;
         let Effect::Leased(lease) = effect else { return Ok(body) };
         let with_bond = with_bond(&body, bond.as_ref());
-        self.clients.bind(bond, lease);
+        self.clients.bind(bond, lease, credential);
         Ok(with_bond.unwrap_or(body))
     }
 
@@ -328,15 +328,10 @@ impl Queries {
         }
     }
 
-    /// Returns the rights of a client: those of its token, or else those of the Zenoh network, which has an access control
-    /// of its own.
     fn identity(&self, asked: &ParsedQuery) -> Result<Identity, Unauthorized> {
-        match &asked.credential {
-            // A wrong token must not prevent a FAST STOP that needs none on this network.
-            _ if is_fast_stop(&asked.method) => Ok(self.gateway.access.of_network()),
-            Credential::None => Ok(self.gateway.access.of_network()),
-            credential => self.gateway.access.identify(credential, &ClientOrigin::default()),
-        }
+        // A wrong token must not prevent a FAST STOP that needs none on this network.
+        let credential = if is_fast_stop(&asked.method) { &Credential::None } else { &asked.credential };
+        identity(&self.gateway.access, credential)
     }
 
     /// Returns whether the client's loss would be noticed. Zenoh reports only the end of a client's session or token,
@@ -451,7 +446,7 @@ mod tests {
         let gateway = Gateway::of(grippers);
         let metrics = InterfaceMetrics::register(&Registry::new(), "zenoh").unwrap();
         let keys = ZenohKeys::of(&gateway.name);
-        let clients = Arc::new(Clients::new(keys.clone(), Handle::current(), metrics.clone()));
+        let clients = Arc::new(Clients::new(keys.clone(), Handle::current(), metrics.clone(), gateway.access.clone()));
         let queries = Queries::new(keys, &gateway, clients, metrics);
         let lanes = [
             asked("left", "move", None),

@@ -8,8 +8,8 @@ use tokio::net::TcpStream;
 use tokio_modbus::client::Reader as _;
 use tokio_modbus::prelude::{ExceptionCode, SlaveContext as _};
 
-use super::{COUNTER, FAST_STOP_REGISTER, GATEWAY, HOME, LATCHED, NOK, NONE, Plc, STOP, Values};
-use crate::harness::{DEADLINE, Gateway, eventually};
+use super::{COUNTER, FAST_STOP_REGISTER, GATEWAY, HOME, LATCHED, MINE, MOVE, MOVING, NOK, NONE, Plc, STOP, Values};
+use crate::harness::{DEADLINE, Directory, Gateway, eventually, run};
 
 /// Problem of a client without the right.
 const FORBIDDEN: u16 = 29;
@@ -46,6 +46,43 @@ async fn observer_reads_and_stops_but_moves_nothing() {
     }
     hmi.write(FAST_STOP_REGISTER, &[1]).await.unwrap();
     hmi.until("latched", |seen| seen.status & LATCHED != 0).await;
+}
+
+#[tokio::test]
+async fn holder_that_may_no_longer_move_loses_its_lease() {
+    let files = Directory::new();
+    let toml = |role: &str| {
+        format!(
+            "modbus = \"127.0.0.1:0\"\n[[clients]]\nname = \"plc7\"\naddress = \"127.0.0.3\"\nrole = \"{role}\"\n\
+             [access]\n[grippers.g]\nurl = \"sim://wsg50\"\n"
+        )
+    };
+    let file = files.write("gateway.toml", &toml("operator"));
+    let token = files.file("tokens.json");
+    let create = ["token", "--tokens", &token, "create", "--name", "boss", "--role", "supervisor"];
+    let secret = run(&create).await.stdout.trim().to_owned();
+    let gateway = Gateway::start(&["--config", &file, "--tokens", &token]).await;
+    let ask = async |path: &str| {
+        let request = gateway.request("GET", path).header("Authorization", format!("Bearer {secret}"));
+        gateway.send(request).await.ok()
+    };
+    let mut plc = Plc::from("127.0.0.3", gateway.word_after("Modbus: ").await.parse().unwrap()).await;
+    eventually("connected", async || (ask("state").await["link"] == "connected").then_some(())).await;
+    plc.write(COUNTER, &[0, NONE]).await.unwrap();
+    plc.ok(HOME, Values::default()).await;
+    plc.command(MOVE, Values::at(2500, 50)).await.unwrap();
+    plc.until("moving", |seen| seen.status & (MOVING | MINE) == MOVING | MINE).await;
+    files.write("gateway.toml", &toml("observer"));
+    gateway.hang_up();
+    let stopped = async || Some(ask("state").await).filter(|state| state["fast_stop"] == true);
+    let state = eventually("a FAST STOP", stopped).await;
+    assert_eq!((&state["fast_stop_cause"], &state["lease_holder"]), (&json!("client_lost"), &json!(null)), "{state}");
+    let loss = async || {
+        let events = ask("/api/v1/events?kind=lease").await["events"].take();
+        events.as_array()?.iter().find(|event| event["event"] == "lost").cloned()
+    };
+    assert_eq!(eventually("the loss", loss).await["cause"], "forbidden");
+    assert_eq!(plc.seen().await.status & MINE, 0);
 }
 
 #[tokio::test]

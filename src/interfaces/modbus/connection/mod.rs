@@ -19,7 +19,7 @@ use futures_util::stream::{FuturesUnordered, StreamExt as _};
 use tokio::io::AsyncWriteExt as _;
 use tokio::net::TcpStream;
 use tokio::net::tcp::{OwnedReadHalf, OwnedWriteHalf};
-use tokio::time::{sleep_until, timeout, timeout_at};
+use tokio::time::{MissedTickBehavior, interval, sleep_until, timeout, timeout_at};
 use tokio_modbus::prelude::ExceptionCode;
 use tokio_util::codec::{FramedRead, LengthDelimitedCodec};
 use tokio_util::sync::CancellationToken;
@@ -51,6 +51,9 @@ const MAX_LAST_REQUESTS: usize = 256;
 /// Maximum number of orders under way: enough for one every 10 ms while the journal takes its whole time limit. Further
 /// requests wait, even those with a FAST STOP.
 const MAX_UNDER_WAY: usize = 64;
+
+/// Interval in which the rights of a lease holder are checked. A reload that fails half-way announces no new settings.
+const RIGHTS_CHECKED_EVERY: Duration = Duration::from_secs(1);
 
 /// Delay of a timer that shows a stall of the gateway.
 const LATE: Duration = Duration::from_millis(20);
@@ -172,6 +175,8 @@ impl ModbusConnection {
         // The futures are kept, since each request would cost a new one.
         let (closed, evicted, timer) = (closing.cancelled(), permit.evicted(), sleep_until(self.due().into()));
         tokio::pin!(closed, evicted, timer);
+        let mut rights_checks = interval(RIGHTS_CHECKED_EVERY);
+        rights_checks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let mut steps = 0;
         loop {
             steps = (steps + 1) % TURN;
@@ -201,7 +206,9 @@ impl ModbusConnection {
                         return Err(ConnectionEnd::Gone);
                     }
                     changed.map_err(|_| ConnectionEnd::Closing)?;
+                    self.lose_forbidden_leases();
                 }
+                _ = rights_checks.tick(), if holds_lease => self.lose_forbidden_leases(),
                 frame = self.frames.next(), if is_free => self.receive(frame).await?,
             }
         }
@@ -293,7 +300,17 @@ impl ModbusConnection {
         for gripper in lost.collect::<Vec<_>>() {
             tracing::warn!(%gripper, client = %self.client.subject, "Modbus client lost: heartbeat unchanged for longer than modbus_heartbeat_ms");
             if let Some(held) = self.leases.remove(&gripper) {
-                self.lose(held.lease);
+                self.lose(held.lease, LossCause::Disconnected);
+            }
+        }
+    }
+
+    /// Loses the leases of grippers that the client may no longer move.
+    fn lose_forbidden_leases(&mut self) {
+        let forbidden = self.leases.keys().filter(|gripper| !self.may_move(gripper)).cloned();
+        for gripper in forbidden.collect::<Vec<_>>() {
+            if let Some(held) = self.leases.remove(&gripper) {
+                self.lose(held.lease, LossCause::Forbidden);
             }
         }
     }

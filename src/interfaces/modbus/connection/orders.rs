@@ -11,7 +11,7 @@ use super::super::image::{Ended, number_of};
 use super::super::order::ModbusOrder;
 use super::pending::{OrderKind, OrderStep, Target};
 use super::{ClientLease, ModbusConnection};
-use crate::gripper::model::{LeaseToken, LossCause, TakeLease};
+use crate::gripper::model::{LeaseToken, LossCause, Name, TakeLease};
 use crate::gripper::{AcquiredLease, Handle};
 use crate::interfaces::admission::Class;
 use crate::operations::{Caller, Code, ConnectionLease, Effect, OperationReply, call};
@@ -23,6 +23,11 @@ impl ModbusConnection {
     /// Returns the client of a request with its rights, which a reload can change.
     fn caller(&self) -> Caller {
         Caller::new(self.client.clone(), self.settings.now().peers.operator(self.peer))
+    }
+
+    /// Whether the client may move a gripper, which a reload can change.
+    pub(super) fn may_move(&self, gripper: &Name) -> bool {
+        self.settings.now().peers.may_move(self.peer, gripper)
     }
 
     /// Requests a FAST STOP, which runs to its end even if the connection ends.
@@ -161,6 +166,10 @@ impl ModbusConnection {
 
     fn hold(&mut self, gripper: &Handle, lease: Option<Arc<ConnectionLease>>) {
         if let Some(lease) = lease {
+            // A reload can have taken the right away while the lease was being taken.
+            if !self.may_move(gripper.name()) {
+                return self.lose(lease, LossCause::Forbidden);
+            }
             let pin = self.permit.claim(Class::Pinned);
             self.leases.insert(gripper.name().clone(), ClientLease { lease, _pin: pin });
         }
@@ -181,10 +190,10 @@ impl ModbusConnection {
         self.begin(kept.boxed());
     }
 
-    /// Reports that the client is lost, without waiting for the gripper.
-    pub(super) fn lose(&mut self, lease: Arc<ConnectionLease>) {
+    /// Reports that a lease's holder is lost, without waiting for the gripper.
+    pub(super) fn lose(&mut self, lease: Arc<ConnectionLease>, cause: LossCause) {
         let lost = async move {
-            lease.lose(LossCause::Disconnected).await;
+            lease.lose(cause).await;
             OrderStep::Finished
         };
         self.begin(lost.boxed());
