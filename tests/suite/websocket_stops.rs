@@ -67,6 +67,19 @@ async fn fast_stop_in_another_encoding_or_after_a_mistake_counts() {
 }
 
 #[tokio::test]
+async fn fast_stop_with_a_long_reason_counts() {
+    let device = Simulator::start(&[]).await;
+    let gateway = Gateway::homed_at(device.address).await;
+    for bytes in [70_000, 2_000_000] {
+        let mut socket = Socket::open(&gateway).await;
+        socket.begin("fast-stop", json!({"gripper": "g", "reason": "x".repeat(bytes)})).await;
+        let state = gateway.until("a FAST STOP", |state| state["fast_stop_confirmed"] == true).await;
+        gateway.post("acknowledge", &json!({"fast_stop_id": state["fast_stop_id"]})).await.ok();
+        while socket.next().await.is_some() {}
+    }
+}
+
+#[tokio::test]
 async fn stop_after_the_end_of_its_socket_counts() {
     let device = Simulator::start(&[]).await;
     let gateway = Gateway::homed_at(device.address).await;

@@ -58,7 +58,7 @@ pub struct Bounds {
     pub held_bytes: usize,
 }
 
-/// Bytes held for all clients together: 64 KiB, the largest message, for each of a thousand clients.
+/// Bytes held for all clients together: 64 KiB, the largest valid message, for each of a thousand clients.
 const HELD_BYTES: usize = 64 << 20;
 
 /// Incoming connections: enough that a flood of 10,000 connects a second leaves each of them 90 ms to send its request.

@@ -20,10 +20,13 @@ pub enum SocketEnd {
     Violation(CloseCode, &'static str),
 }
 
+/// End of a socket whose client sent a message that is too long.
+pub const TOO_LONG: SocketEnd = SocketEnd::Violation(CloseCode::Size, "message exceeds 64 KiB");
+
 /// Returns the end that an error means.
 pub fn end_of(error: &WsError) -> SocketEnd {
     match error {
-        WsError::Capacity(_) => SocketEnd::Violation(CloseCode::Size, "message exceeds 64 KiB"),
+        WsError::Capacity(_) => TOO_LONG,
         WsError::Utf8(_) => SocketEnd::Violation(CloseCode::Invalid, "text message is not valid UTF-8"),
         WsError::Protocol(ProtocolError::ResetWithoutClosingHandshake) => SocketEnd::Closed,
         WsError::Protocol(_) => SocketEnd::Violation(CloseCode::Protocol, "invalid WebSocket frame (RFC 6455)"),

@@ -20,7 +20,8 @@ use crate::operations::urgency;
 /// Time limit of the closing handshake.
 const FAREWELL_WITHIN: Duration = Duration::from_secs(1);
 
-/// Consecutive reads without a message that end the search for FAST STOPs and Stops. The longest message needs fewer.
+/// Consecutive reads without a message that end the search for FAST STOPs and Stops. The longest valid message needs
+/// fewer. Longer ones are still read during the closing handshake.
 const MAX_MISSES: u8 = 40;
 
 /// Maximum number of messages that are searched for FAST STOPs and Stops after the end of their socket.

@@ -5,7 +5,7 @@ use serde::Serialize;
 use serde_json::Value;
 use serde_json::value::RawValue;
 
-use crate::operations::json::{self, StrictJson};
+use crate::operations::json::{self, MAX_BODY_BYTES, StrictJson};
 use crate::operations::{Code, OPERATIONS, Problem, is_fast_stop};
 
 /// Maximum number of requests in a batch.
@@ -111,7 +111,7 @@ pub fn has_fast_stop(text: &str) -> bool {
     fast_stop_in(text).is_some()
 }
 
-/// Parses a message. An invalid message that names a FAST STOP is a FAST STOP of all grippers.
+/// Parses a message. An invalid or oversized message that names a FAST STOP is a FAST STOP of all grippers.
 pub fn parse(text: &str) -> Incoming {
     let fast_stop = || {
         let name = fast_stop_in(text)?;
@@ -121,6 +121,10 @@ pub fn parse(text: &str) -> Incoming {
         Incoming::One(fast_stop().ok_or_else(|| RpcResponse::invalid(Value::Null, code, problem)))
     };
     let is_fast_stop = |call: &Result<RpcCall, _>| call.as_ref().is_ok_and(|call| is_fast_stop(&call.method));
+    if text.len() > MAX_BODY_BYTES {
+        let detail = format!("the message has {} bytes; at most {MAX_BODY_BYTES} are allowed", text.len());
+        return invalid(INVALID_REQUEST, Problem::new(Code::TooLarge, detail));
+    }
     match serde_json::from_str(text).map(|StrictJson(message)| message) {
         Err(error) => {
             let code = if error.is_data() { INVALID_REQUEST } else { PARSE_ERROR };
@@ -279,6 +283,7 @@ mod tests {
             &format!("{request}}}"),
             &format!("\u{feff}{request}"),
             &request.replace('1', "1, \"id\": 2"),
+            &request.replace("left", &"x".repeat(MAX_BODY_BYTES)),
         ] {
             let Incoming::One(Ok(call)) = parse(text) else { panic!("{text}") };
             let expected =

@@ -23,7 +23,7 @@ use tokio_util::task::AbortOnDropHandle;
 
 use super::answered::{Answered, MessageResult, raw};
 use super::bodies;
-use super::end::{SocketEnd, end_of};
+use super::end::{SocketEnd, TOO_LONG, end_of};
 use super::halves::{self, Inbound};
 use super::outbox::Outbox;
 use super::rpc::{self, Incoming, RpcCall, RpcError, RpcResponse};
@@ -57,6 +57,10 @@ const CALL_BYTES: usize = 4 * 1024;
 
 /// Maximum number of commands of one client whose end is reported. The client must ask for the end of further ones.
 const MAX_COMMANDS: usize = 64;
+
+/// Maximum length of a message, in bytes. Messages longer than [`MAX_BODY_BYTES`] are read only to find a FAST STOP in
+/// them. HTTP reads as many bytes of an oversized body.
+const MAX_MESSAGE_BYTES: usize = 2 * 1024 * 1024;
 
 /// Read buffer size: requests are small, and there can be a thousand clients.
 const READ_BYTES: usize = 1024;
@@ -134,8 +138,8 @@ impl Socket {
         let writer = AbortOnDropHandle::new(runtimes.observers.spawn(writer.run()));
         let bounds = WebSocketConfig::default()
             .read_buffer_size(READ_BYTES)
-            .max_message_size(Some(MAX_BODY_BYTES))
-            .max_frame_size(Some(MAX_BODY_BYTES));
+            .max_message_size(Some(MAX_MESSAGE_BYTES))
+            .max_frame_size(Some(MAX_MESSAGE_BYTES));
         let incoming = WebSocketStream::from_raw_socket(inbound, Role::Server, Some(bounds)).await;
         let mut pings = tokio::time::interval(PINGED_EVERY);
         pings.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -239,6 +243,15 @@ impl Socket {
         self.paused_until = self.pace.due(Instant::now(), false);
         self.incoming.get_mut().taken();
         match message {
+            Some(Ok(message)) if message.len() > MAX_BODY_BYTES => {
+                let payload = message.into_data();
+                let text = String::from_utf8_lossy(&payload);
+                // The length of a reason must not keep the fingers moving.
+                if rpc::has_fast_stop(&text) {
+                    self.take_requests(&text);
+                }
+                return Some(TOO_LONG);
+            }
             Some(Ok(Message::Text(text))) => self.take_requests(&text),
             Some(Ok(Message::Binary(bytes))) => {
                 // A reason in another encoding must not keep the fingers moving.
