@@ -223,6 +223,16 @@ async fn session_does_not_work_from_pages_of_other_origins() {
     let me = || browser.get(gateway.url("/api/v1/me")).header("Cookie", cookie.split(';').next().unwrap());
     assert_eq!(gateway.send(me()).await.ok()["proof"], "session");
     gateway.send(me().header("Origin", "https://hmi.example")).await.problem(401, "unauthorized");
+    let foreign = |method: Method, path: &str| {
+        let request = browser.request(method, gateway.url(path)).header("Cookie", cookie.split(';').next().unwrap());
+        request.header("Origin", "https://hmi.example")
+    };
+    let pin = foreign(Method::POST, "/api/v1/session/pin").json(&json!({"pin": "000000"}));
+    let refused = gateway.send(pin).await.problem(401, "unauthorized");
+    assert!(refused["detail"].as_str().unwrap().contains("session has ended"), "{refused}");
+    let signed_out = foreign(Method::DELETE, "/api/v1/session").send().await.unwrap();
+    assert_eq!((signed_out.status().as_u16(), signed_out.headers().get("set-cookie")), (204, None));
+    assert_eq!(gateway.send(me()).await.ok()["proof"], "session", "the session is still open");
 }
 
 #[tokio::test]

@@ -14,7 +14,7 @@ use utoipa::ToSchema;
 use super::body;
 use super::context::HttpContext;
 use super::paths::responses::SessionProblem;
-use super::visitor::{cookie_name, session};
+use super::visitor::{accepted_cookie, cookie_name, session};
 use crate::access::{Identity, Role, SessionId, TokenSecret, Unauthorized};
 use crate::operations::json::parse;
 use crate::operations::{Code, Problem};
@@ -70,6 +70,10 @@ pub async fn sign_in(Shared(context): Shared<Arc<HttpContext>>, request: Request
     responses((status = 204, description = "No session is open"), SessionProblem)
 )]
 pub async fn sign_out(Shared(context): Shared<Arc<HttpContext>>, request: Request) -> Result<Response, Problem> {
+    // A page of another origin must not delete the cookie either.
+    if accepted_cookie(request.headers(), &context.settings.get()).is_none() {
+        return Ok(StatusCode::NO_CONTENT.into_response());
+    }
     if let Some(id) = open_session(&context, &request) {
         context.gateway.access.sign_out(&id);
     }
@@ -121,9 +125,9 @@ fn secret<T: DeserializeOwned>(text: &[u8]) -> Result<T, Problem> {
     parse(text).map_err(|_| Problem::malformed("body", "the body must be an object with one field: token, or pin"))
 }
 
-/// Returns the session that a request names.
+/// Returns the session that a request names. Pages of other origins have none.
 fn open_session(context: &HttpContext, request: &Request) -> Option<SessionId> {
-    session(request.headers(), cookie_name(context.settings.get().tls.is_some()))
+    session(request.headers(), accepted_cookie(request.headers(), &context.settings.get())?)
 }
 
 /// Returns the cookie of a session, or one that deletes it. No script can read it, and no other site can send it.

@@ -1,8 +1,9 @@
 //! The client behind a request, and what it presents.
 
-use axum::http::header::{AUTHORIZATION, COOKIE, HeaderValue};
+use axum::http::header::{AUTHORIZATION, COOKIE, HeaderValue, ORIGIN};
 use axum::http::{Extensions, HeaderMap};
 
+use super::settings::HttpSettings;
 use crate::access::{Access, ClientOrigin, Credential, Identity, SessionId, Unauthorized, Visitor};
 use crate::gripper::model::{Client, Door, Name};
 
@@ -15,6 +16,13 @@ const SECURE_COOKIE: &str = "__Host-wsg_session";
 /// Returns the name of the session's cookie. With TLS, a cookie that was set without it does not count.
 pub fn cookie_name(has_tls: bool) -> &'static str {
     if has_tls { SECURE_COOKIE } else { SESSION_COOKIE }
+}
+
+/// Returns the name of the session's cookie in a request, if its session counts. Pages of other origins have no session
+/// here.
+pub fn accepted_cookie(headers: &HeaderMap, settings: &HttpSettings) -> Option<&'static str> {
+    let is_foreign = headers.get_all(ORIGIN).iter().any(|origin| settings.allows_origin(origin));
+    (!is_foreign).then(|| cookie_name(settings.tls.is_some()))
 }
 
 /// The client behind a request, identified when the request arrived.

@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use axum::Router;
 use axum::body::Body;
-use axum::http::header::{ORIGIN, STRICT_TRANSPORT_SECURITY};
+use axum::http::header::STRICT_TRANSPORT_SECURITY;
 use axum::http::{HeaderName, HeaderValue, Request, StatusCode};
 use axum::response::{IntoResponse as _, Response};
 use futures_util::future::{BoxFuture, FutureExt as _, TryFutureExt as _};
@@ -30,7 +30,7 @@ use super::super::handshakes::Handshakes;
 use super::super::operation::Compact;
 use super::super::runtime_mover::RuntimeMover;
 use super::super::settings::HttpSettings;
-use super::super::visitor::{Identified, cookie_name};
+use super::super::visitor::{Identified, accepted_cookie};
 use super::inspection::Begun;
 use crate::access::ClientOrigin;
 use crate::interfaces::admission::{Admission, Bounds, ConnectionPermit};
@@ -200,9 +200,7 @@ impl Service<Request<Incoming>> for Requests {
             self.permit.receiving();
         }
         let (settings, access) = (self.server.context.settings.get(), &self.server.context.gateway.access);
-        // Pages of other origins have no session here.
-        let is_foreign = request.headers().get_all(ORIGIN).iter().any(|origin| settings.allows_origin(origin));
-        let cookie = (!is_foreign).then(|| cookie_name(settings.tls.is_some()));
+        let cookie = accepted_cookie(request.headers(), &settings);
         let identified = Identified::of(access, request.headers(), self.origin.clone(), cookie);
         let extensions = request.extensions_mut();
         extensions.insert(identified);
