@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// The rights of a client. Every role may trigger FAST STOPs.
+/// The rights of a client. Every role may trigger FAST STOPs, and read over Modbus and on the WSG port.
 ///
 /// - `stop`: triggers FAST STOPs and Stops, and nothing else, e.g. for the controller of a light curtain
 /// - `observer`: reads

@@ -49,6 +49,20 @@ async fn observer_reads_and_stops_but_moves_nothing() {
 }
 
 #[tokio::test]
+async fn stop_controller_reads_and_stops_but_moves_nothing() {
+    let client = "[[clients]]\nname = \"curtain\"\naddress = \"127.0.0.3\"\nrole = \"stop\"\n";
+    let (_gateway, address) = gateway(&format!("{client}[access]\n")).await;
+    let mut curtain = Plc::from("127.0.0.3", address).await;
+    curtain.write(COUNTER, &[0, NONE]).await.unwrap();
+    let refused = curtain.ended(HOME, Values::default()).await;
+    assert_eq!((refused.problem, refused.status & NOK), (FORBIDDEN, NOK), "{refused:?}");
+    let stopped = curtain.ended(STOP, Values::default()).await;
+    assert_ne!(stopped.problem, FORBIDDEN, "{stopped:?}");
+    curtain.write(FAST_STOP_REGISTER, &[1]).await.unwrap();
+    curtain.until("latched", |seen| seen.status & LATCHED != 0).await;
+}
+
+#[tokio::test]
 async fn holder_that_may_no_longer_move_loses_its_lease() {
     let files = Directory::new();
     let toml = |role: &str| {
