@@ -18,11 +18,11 @@ use zenoh::query::{ConsolidationMode, QueryTarget, Reply};
 use zenoh::sample::Locality;
 
 use super::Peers;
-use super::keys::{self, ZenohKeys};
+use super::keys::{self, MAX_CLIENT_BYTES, ZenohKeys};
 use super::twins::has_token;
 use crate::gripper::Now;
 use crate::gripper::model::lease::MIN_TTL;
-use crate::gripper::model::{Client, Name, Urgency};
+use crate::gripper::model::{Client, Name, Text, Urgency};
 
 /// Time that an answer may spend on the network, in addition to the operation's own time.
 const ON_ITS_WAY: Duration = Duration::from_secs(5);
@@ -176,7 +176,7 @@ impl Peers {
 
     async fn send(&self, ask: PeerRequest) -> Result<PeerResponse, NoAnswer> {
         let key = ZenohKeys::of(&ask.gateway).command(ask.gripper.as_ref(), ask.method);
-        let subject = ("client", format!("{}/{}", self.gateway, ask.client.subject));
+        let subject = ("client", forwarded_name(&self.gateway, &ask.client));
         let wait_ms = ask.wait.map(|wait| ("wait_ms", wait.as_millis().to_string()));
         let parameters = [subject].into_iter().chain(wait_ms).chain(ask.aside);
         let parameters: Vec<_> = parameters.map(|(key, value)| format!("{key}={}", keys::encoded(&value))).collect();
@@ -222,6 +222,12 @@ impl Peers {
         }
         refused.ok_or(NoAnswer::None)
     }
+}
+
+/// Returns the name under which another gateway knows a client of this one. Only the name of a Zenoh client can be too
+/// long, and is cut.
+fn forwarded_name(gateway: &Name, client: &Client) -> String {
+    Text::<MAX_CLIENT_BYTES>::truncated(&format!("{gateway}/{}", client.subject)).as_str().to_owned()
 }
 
 /// Uses a lease often enough to keep it, for as long as this is polled. The owning gateway cannot see whether the
@@ -345,6 +351,17 @@ mod tests {
     async fn ended_lease_is_not_used_again() {
         let refused = async { Ok(Err((CONFLICT, json_text(r#"{"code": "stale_lease"}"#)))) };
         assert_eq!(gaps(Duration::from_mins(1), refused.boxed_local()).await.len(), 1);
+    }
+
+    #[test]
+    fn forwarded_name_has_the_whole_address_of_a_client() {
+        let gateway: Name = "g".repeat(32).parse().unwrap();
+        let name = |subject: &str| forwarded_name(&gateway, &Client::new(subject, Door::Http));
+        for subject in ["http:2001:db8:1111:2222:3333:4444:5555:6666", &"n".repeat(32)] {
+            assert_eq!(name(subject), format!("{gateway}/{subject}"));
+        }
+        let longest = name(&format!("zenoh:{}", "n".repeat(MAX_CLIENT_BYTES)));
+        assert_eq!(longest.len(), MAX_CLIENT_BYTES);
     }
 
     #[tokio::test]

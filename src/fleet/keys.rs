@@ -8,6 +8,14 @@ pub const ROOT: &str = "wsg/v1";
 /// Key at which a put stops the grippers of all gateways.
 pub const FAST_STOP_OF_ALL: &str = "wsg/v1/fast-stop";
 
+/// Maximum length of a client's name in a selector, in bytes: a gateway's name, a slash, and the longest subject of a
+/// client that is known by its address (`http:` and an IPv6 address), rounded up.
+pub const MAX_CLIENT_BYTES: usize = 80;
+
+/// Maximum length of a client's subject, in bytes: the name of a Zenoh client after `zenoh:`. Without another name, the
+/// client has this one as a lease holder.
+pub const MAX_SUBJECT_BYTES: usize = "zenoh:".len() + MAX_CLIENT_BYTES;
+
 /// Part of the keys of commands.
 pub const COMMAND: &str = "command";
 

@@ -5,8 +5,10 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::gripper::model::{FastStopId, Name, Text};
 use url::Url;
+
+use super::keys::MAX_SUBJECT_BYTES;
+use crate::gripper::model::{FastStopId, Name, Text};
 
 /// A gripper's state as published by the gateway that owns it. The lengths of its texts are bounded here.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -20,7 +22,7 @@ pub(super) struct PeerReport {
     fast_stop: Option<bool>,
     fast_stop_id: Option<FastStopId>,
     fast_stop_confirmed: Option<bool>,
-    lease_holder: Option<Text<64>>,
+    lease_holder: Option<Text<MAX_SUBJECT_BYTES>>,
 }
 
 impl PeerReport {
@@ -40,7 +42,6 @@ impl PeerReport {
 
     /// Returns the list entry for clients. `since` is the time since the report arrived.
     pub(super) fn of_gripper(&self, gateway: &Name, gripper: &Name, since: Duration, gone: bool) -> FleetGripper {
-        let text = |text: &Option<Text<64>>| text.as_ref().map(|text| text.as_str().to_owned());
         FleetGripper {
             gateway: gateway.to_string(),
             gripper: gripper.to_string(),
@@ -54,7 +55,7 @@ impl PeerReport {
             fast_stop: self.fast_stop,
             fast_stop_id: self.fast_stop_id,
             fast_stop_confirmed: self.fast_stop_confirmed,
-            lease_holder: text(&self.lease_holder),
+            lease_holder: self.lease_holder.as_ref().map(|holder| holder.as_str().to_owned()),
             dashboard: None,
         }
     }
@@ -106,7 +107,7 @@ pub struct FleetGripper {
     #[schema(nullable = false)]
     fast_stop_confirmed: Option<bool>,
     /// Holder of the lease; null while the gripper is not leased.
-    #[schema(required, max_length = 64)]
+    #[schema(required, max_length = 86)]
     lease_holder: Option<String>,
     /// URL of that gateway's dashboard, if its configuration has one.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -136,5 +137,19 @@ impl FleetGripper {
     #[must_use]
     pub fn lasting(&self) -> Self {
         Self { age_ms: None, ..self.clone() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn report_has_the_longest_name_of_a_lease_holder() {
+        let report = |bytes: usize| {
+            let holder = "h".repeat(bytes);
+            PeerReport::of(format!(r#"{{"link": "connected", "lease_holder": "{holder}"}}"#).as_bytes())
+        };
+        assert!(report(MAX_SUBJECT_BYTES).is_some() && report(MAX_SUBJECT_BYTES + 1).is_none());
     }
 }

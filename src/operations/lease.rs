@@ -14,6 +14,7 @@ use super::problem::Problem;
 use super::reply::{Effect, Json, OperationReply};
 use super::values::{integer, name, text};
 use crate::access::Right;
+use crate::fleet::keys::MAX_SUBJECT_BYTES;
 use crate::gripper::model::lease::{MAX_TTL, MIN_TTL};
 use crate::gripper::model::{Lease, OnLossHolding, OnLossMoving, TakeLease, Urgency};
 use crate::gripper::{AcquiredLease, Conflict, Rejection};
@@ -119,8 +120,8 @@ async fn release(call: Call) -> LeaseResult {
 #[serde(deny_unknown_fields)]
 #[schema(example = json!({"to": "robot-2"}))]
 pub struct HandOver {
-    /// Client in the lease's `requested_by`: a name or an address of at most 64 bytes in UTF-8.
-    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
+    /// Client in the lease's `requested_by`: a name or an address of at most 86 bytes in UTF-8.
+    #[schema(max_length = 86, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     to: String,
     /// Token of the lease. At most 64 bytes; empty means none.
     #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
@@ -130,6 +131,6 @@ pub struct HandOver {
 async fn hand_over(call: Call) -> LeaseResult {
     let (gripper, body): (_, HandOver) = call.gripper_and_fields()?;
     let gripper = gripper.with_lease(body.lease.as_deref())?;
-    let to = text::<64>("to", &body.to)?;
+    let to = text::<MAX_SUBJECT_BYTES>("to", &body.to)?;
     Ok(Json(gripper.handle.hand_over(gripper.token(), to.as_str().to_owned()).await?))
 }

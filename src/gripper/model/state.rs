@@ -339,15 +339,17 @@ mod tests {
     use crate::wsg::SystemState;
 
     /// Bytes of the largest state, as in the guide, with some room for further fields.
-    const LARGEST_BYTES: usize = 1300;
+    const LARGEST_BYTES: usize = 1400;
 
     /// A state with all flags, and with values and texts of clients that are as long as possible.
     fn longest() -> State {
         let (name, id) = ("n".repeat(32), CommandId::generate());
+        // A client of another gateway.
+        let subject = format!("zenoh:{name}/http:2001:db8:1111:2222:3333:4444:5555:6666");
         let at = Timestamp::UNIX_EPOCH;
         let latch = LatchFields {
             fast_stop_id: FastStopId::generate(),
-            fast_stop_by: "http:2001:db8:1111:2222:3333:4444:5555:6666".into(),
+            fast_stop_by: subject.as_str().into(),
             fast_stop_cause: FastStopCause::UnannouncedDisconnect,
             fast_stop_reason: Reason::truncated(&"r".repeat(64)),
             fast_stop_at: at,
@@ -371,7 +373,7 @@ mod tests {
             fault_code: 18,
             fast_stop: Some(false),
             latch: Some(latch),
-            lease_holder: Some(name.as_str().into()),
+            lease_holder: Some(subject.into()),
             lease_epoch: 9_007_199_254_740_991,
             command_id: Some(id),
             command: Some(id),

@@ -28,6 +28,16 @@ async fn records(gateway: &Gateway, id: &Value) -> Vec<Map<String, Value>> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn client_of_another_gateway_can_have_the_longest_names() {
+    let rig = Rig::start(&[]).await;
+    let client = format!("{}/http:2001:db8:1111:2222:3333:4444:5555:6666", "g".repeat(32));
+    let lease = rig.client.command(&format!("lease.take?client={client}"), &json!({"ttl_ms": 60000})).await.unwrap();
+    assert_eq!(lease["holder"], format!("zenoh:{client}"));
+    let fleet = async || rig.gateway.get("/api/v1/fleet").await.ok()["grippers"][0]["lease_holder"].take();
+    eventually("the fleet's list has the holder", async || (fleet().await == lease["holder"]).then_some(())).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn command_leaves_the_same_records_as_over_http() {
     let rig = Rig::start(&["--part-mm", "20"]).await;
     rig.gateway.post("home", &json!({})).await.outcome("SUCCESS");
