@@ -10,6 +10,7 @@ use super::call::{Call, NoFields};
 use super::operation::{Operation, ready};
 use super::problem::Problem;
 use super::reply::Json;
+use super::values::shortened;
 use crate::alarms::AlarmReport;
 use crate::gripper::model::{Alarm, AlarmId};
 
@@ -52,8 +53,10 @@ fn acknowledge(call: &Call) -> Result<Json<AlarmsAcknowledged>, Problem> {
         return Err(Problem::malformed("ids", format!("ids must have 1 to {MAX_IDS} ids")));
     }
     let parsed = |id: String| {
-        let malformed = |error| Problem::malformed("ids", format!("ids has {id:?}, which is not a UUID: {error}"));
-        id.parse().map_err(malformed)
+        id.parse().map_err(|error| {
+            let id = shortened(&id);
+            Problem::malformed("ids", format!("ids has {id:?}, which is not a UUID: {error}"))
+        })
     };
     let mut ids: BTreeSet<AlarmId> = ids.into_iter().map(parsed).collect::<Result<_, _>>()?;
     let acknowledged = call.gateway.alarms.acknowledge(&ids, &call.caller.client);

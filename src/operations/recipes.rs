@@ -13,7 +13,7 @@ use super::durable::{check_journal, durable};
 use super::operation::{Operation, ready, reply};
 use super::problem::Problem;
 use super::reply::{Json, Versioned};
-use super::values::{TextOrNumber, integer, part_id, text, text_or_number};
+use super::values::{TextOrNumber, integer, part_id, shortened, text, text_or_number};
 use crate::gripper::limits::{FASTEST_MM_S, STRONGEST_N, WIDEST_MM};
 use crate::gripper::model::{Code, Name, PartId, Recipe, RecipeDescription, RecipeNumber, RecipeValues};
 use crate::recipes::{ExpectedVersion, RecipeChange, RecipeConflict, RecipeVersion};
@@ -260,7 +260,7 @@ impl SetRecipe {
         }
         let mut grippers = BTreeMap::new();
         for (name, own) in given {
-            let place = format!("{place}grippers.{name}");
+            let place = format!("{place}grippers.{}", shortened(&name));
             let name: Name = name.parse().map_err(|error| Problem::malformed(&place, format!("{place}: {error}")))?;
             // The accepted widths can come partly from the gripper's own values and partly from the common ones.
             check(&own.or(values), &format!("{place}."))?;

@@ -84,6 +84,23 @@ async fn invalid_grip_names_field_and_limits_and_sends_no_frame() {
 }
 
 #[tokio::test]
+async fn refusal_does_not_repeat_a_long_text() {
+    let device = Simulator::start(&[]).await;
+    let gateway = Gateway::connected_to(device.address).await;
+    let long = "\u{fc}".repeat(30_000);
+    let recipe = json!({"number": 1, "grippers": {&long: {"width_mm": 20}}});
+    for (method, path, body) in [
+        ("PUT", "/api/v1/recipes/A-1", recipe),
+        ("POST", "/api/v1/alarms/acknowledge", json!({"ids": [long]})),
+        ("POST", "/api/v1/fleet/copy-recipes", json!({"gateway": long})),
+        ("POST", "grip", json!({"width_mm": format!("expected {long}"), "speed_mm_s": 50})),
+    ] {
+        let problem = gateway.send(gateway.request(method, path).json(&body)).await.problem(400, "malformed");
+        assert!(problem.to_string().len() < 2500, "{path}: {} bytes", problem.to_string().len());
+    }
+}
+
+#[tokio::test]
 async fn unknown_path_method_or_query_is_a_problem() {
     let device = Simulator::start(&[]).await;
     let gateway = Gateway::connected_to(device.address).await;

@@ -72,7 +72,7 @@ impl TryFrom<String> for Name {
     }
 }
 
-/// A text that is not a valid [`Name`].
+/// A text that is not a valid [`Name`], cut to more characters than a name can have.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{0:?} is not a valid name: use 1 to 32 characters of a-z, 0-9, _ and -, starting with a letter or digit")]
 pub struct InvalidName(pub String);
@@ -86,7 +86,7 @@ impl std::str::FromStr for Name {
         if first && text.len() <= 32 && text.as_bytes().iter().all(allowed) {
             Ok(Self(text.into()))
         } else {
-            Err(InvalidName(text.to_owned()))
+            Err(InvalidName(text.chars().take(40).collect()))
         }
     }
 }

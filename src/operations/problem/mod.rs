@@ -16,6 +16,10 @@ use crate::wsg::Status;
 /// Longest wrong value that an answer repeats, in bytes: the answer has to fit a small client's buffer.
 const MAX_VALUE_BYTES: usize = 64;
 
+/// Longest description and longest field in an answer, in bytes. Errors can contain texts of the client.
+const MAX_DETAIL_BYTES: usize = 2048;
+const MAX_FIELD_BYTES: usize = 128;
+
 /// A problem (RFC 9457). Boxed, since it is the rare case of every handler's result.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(transparent)]
@@ -105,6 +109,12 @@ impl Members {
     }
 }
 
+/// Cuts a text between two characters.
+fn cut(mut text: String, max: usize) -> String {
+    text.truncate(text.floor_char_boundary(max));
+    text
+}
+
 impl Problem {
     pub fn new(code: Code, detail: impl Into<String>) -> Self {
         let status = StatusCode::from_u16(code.http_status()).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
@@ -114,7 +124,7 @@ impl Problem {
             status: status.as_u16(),
             code,
             code_number: code.number(),
-            detail: detail.into(),
+            detail: cut(detail.into(), MAX_DETAIL_BYTES),
             field: None,
             value: None,
             min: None,
@@ -157,7 +167,7 @@ impl Problem {
 
     /// Names the wrong field.
     pub fn field(mut self, field: impl Into<String>) -> Self {
-        self.0.field = Some(field.into());
+        self.0.field = Some(cut(field.into(), MAX_FIELD_BYTES));
         self
     }
 

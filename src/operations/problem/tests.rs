@@ -69,3 +69,11 @@ fn failure_has_status_and_code() {
     let line_time = Failure::LineTime { command: "Loop", line_ms: 250, max_ms: 100 };
     assert_eq!(code(line_time), (409, "already_running".to_owned()));
 }
+
+#[test]
+fn long_texts_of_a_client_are_cut() {
+    let long = "\u{fc}".repeat(60_000);
+    let problem = Problem::malformed(&*long, &*long);
+    assert_eq!(problem.detail().len(), MAX_DETAIL_BYTES);
+    assert_eq!(problem.members().field().map(str::len), Some(MAX_FIELD_BYTES));
+}
