@@ -341,10 +341,12 @@ impl JournalWriter {
         if self.retry_at.is_some() || self.empty_log_at.is_some_and(|at| now < at) {
             return;
         }
-        if self.store.log_is_large()
-            && let Err(error) = self.shared.while_watched(|| self.store.checkpoint())
-        {
-            tracing::warn!(failure = self.store.source.describe(&error), "write-ahead log not emptied");
+        if self.store.log_is_large() {
+            if let Err(error) = self.shared.while_watched(|| self.store.checkpoint()) {
+                tracing::warn!(failure = self.store.source.describe(&error), "write-ahead log not emptied");
+            }
+            // As after a removal, the next write is tried at once.
+            self.shared.set_failure(None);
         }
         self.empty_log_at = self.store.log_is_large().then_some(now + EMPTY_LOG_EVERY);
     }
@@ -391,5 +393,25 @@ impl JournalWriter {
 impl Drop for JournalWriter {
     fn drop(&mut self) {
         self.shared.over();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::Directory;
+    use super::*;
+
+    #[test]
+    fn slow_emptying_of_the_log_blocks_no_later_motion() {
+        let directory = Directory::new();
+        let store = Store::open(directory.place()).unwrap();
+        let mut writer = JournalWriter::new(store, Retention::default(), Vec::new()).unwrap();
+        let fill = "CREATE TABLE filling (bytes BLOB); INSERT INTO filling VALUES (zeroblob(20 * 1024 * 1024))";
+        writer.store.connection.execute_batch(fill).unwrap();
+        assert!(writer.store.log_is_large());
+        // The watch reports this while a checkpoint is slow.
+        writer.shared.set_failure(Some("the disk is slow".to_owned()));
+        writer.empty_log(Instant::now());
+        assert!(!writer.store.log_is_large() && !writer.shared.failing());
     }
 }
