@@ -133,6 +133,13 @@ impl Guard {
         Ok(person.unwrap_or(identity))
     }
 
+    /// Identifies a person by a PIN, and returns the PIN's hash.
+    fn by_pin(&self, pin: &Pin) -> Result<(TokenHash, Identity), Unauthorized> {
+        let tokens = self.tokens().ok_or(Unauthorized::WrongPin)?;
+        let hash = tokens.hash_of_pin(pin);
+        Ok((hash, valid(tokens.find_pin(hash).ok_or(Unauthorized::WrongPin)?, Proof::Pin)?))
+    }
+
     /// Whether the token of a session allows no more than reads.
     fn only_reads(&self, token: TokenHash) -> bool {
         self.tokens().is_some_and(|tokens| tokens.find(token).is_some_and(|token| !token.role.has(Right::Operate)))
@@ -275,9 +282,8 @@ impl Access {
         if !self.sessions.count_pin_attempt(now, credentials.token) {
             return Err(Unauthorized::TooManyPins);
         }
-        let tokens = guard.tokens().ok_or(Unauthorized::WrongPin)?;
-        let hash = tokens.hash_of_pin(pin);
-        let identity = valid(tokens.find_pin(hash).ok_or(Unauthorized::WrongPin)?, Proof::Pin)?;
+        let (hash, identity) =
+            guard.by_pin(pin).inspect_err(|_| self.sessions.note_wrong_pin(now, credentials.token))?;
         self.sessions.add_pin(now, id, hash);
         Ok(identity)
     }

@@ -111,12 +111,19 @@ impl Sessions {
     pub(super) fn count_pin_attempt(&self, now: Instant, token: TokenHash) -> bool {
         let mut open = self.open();
         open.wrong_pins.retain(|_, (_, at)| now.duration_since(*at) < PIN_PAUSE);
-        let (count, at) = open.wrong_pins.entry(token).or_insert((0, now));
+        let (count, _) = open.wrong_pins.entry(token).or_insert((0, now));
         let may_try = *count < MAX_WRONG_PINS;
         if may_try {
-            (*count, *at) = (*count + 1, now);
+            *count += 1;
         }
         may_try
+    }
+
+    /// Notes that a counted attempt was wrong. A right one must not prolong the time for which wrong ones count.
+    pub(super) fn note_wrong_pin(&self, now: Instant, token: TokenHash) {
+        if let Some((_, at)) = self.open().wrong_pins.get_mut(&token) {
+            *at = now;
+        }
     }
 
     /// Gives a session the identity of a PIN, and takes back the attempt that [`Self::count_pin_attempt`] counted.
@@ -195,6 +202,23 @@ mod tests {
         assert!(sessions.count_pin_attempt(start, HASH));
         assert!(!sessions.count_pin_attempt(start + PIN_PAUSE / 2, HASH) && sessions.count_pin_attempt(start, PIN));
         assert!(sessions.count_pin_attempt(start + PIN_PAUSE, HASH));
+    }
+
+    #[test]
+    fn right_pin_does_not_prolong_the_time_of_wrong_ones() {
+        let (sessions, start) = (Sessions::default(), Instant::now());
+        let id = sessions.begin(start, TIMES, HASH).unwrap();
+        let wrong_at = |at| {
+            let may_try = sessions.count_pin_attempt(at, HASH);
+            sessions.note_wrong_pin(at, HASH);
+            may_try
+        };
+        assert!((1..MAX_WRONG_PINS).all(|_| wrong_at(start)));
+        let soon = start + PIN_PAUSE / 2;
+        assert!(sessions.count_pin_attempt(soon, HASH));
+        sessions.add_pin(soon, &id, PIN);
+        let later = start + PIN_PAUSE;
+        assert!((0..MAX_WRONG_PINS).all(|_| wrong_at(later)) && !wrong_at(later + PIN_PAUSE / 2));
     }
 
     #[test]
