@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
-use wsg_gateway::gripper::model::{Kind, Link, Outcome, Phase};
+use wsg_gateway::gripper::model::{Kind, Link, Outcome, Phase, State};
 use wsg_gateway::sim::Interface;
 use wsg_gateway::wsg::{ChecksumEvaluation, Command, Decoded, Decoder, id};
 
@@ -154,11 +154,13 @@ impl Invariants {
     pub fn is_at_rest(world: &World, since: Instant) -> bool {
         let state = world.watches.state.borrow();
         let unconfirmed = state.latch.as_ref().is_some_and(|latch| !latch.fast_stop_confirmed);
+        // An acknowledgement that the device has carried out can end without a reply, and the next flags show it.
+        let stopped = world.device.snapshot().fast_stop || !is_requested(&state);
         let ended = world.clients.tickets().all(|ticket| ticket.now().phase == Phase::Done);
         // An update since the faults ended shows that the link is not half-open.
         let heard = state.updated_at.is_some_and(|at| at > since + Duration::from_secs(1));
         let heard = heard && state.flags_raw == Some(world.device.snapshot().flags.bits());
-        state.link == Link::Connected && heard && !unconfirmed && ended && world.clients.all_answered()
+        state.link == Link::Connected && heard && !unconfirmed && stopped && ended && world.clients.all_answered()
     }
 
     /// Checks the final state, once all faults have ended.
@@ -171,8 +173,7 @@ impl Invariants {
         assert!(!unconfirmed, "unconfirmed FAST STOP\n{}", world.tail());
         let device_stopped = world.device.snapshot().fast_stop;
         assert!(!device_stopped || state.latch.is_some(), "device FAST STOP without a latch\n{}", world.tail());
-        let requested = state.latch.as_ref().is_some_and(|latch| &*latch.fast_stop_by != "device");
-        assert!(device_stopped || !requested, "latch without a FAST STOP of the device\n{}", world.tail());
+        assert!(device_stopped || !is_requested(&state), "latch without a FAST STOP of the device\n{}", world.tail());
         world.count("FAST STOP: latched at the end", state.latch.is_some());
         let received: Vec<_> =
             world.device.received().iter().map(|frame| encode_raw(frame.id, &frame.payload)).collect();
@@ -234,6 +235,11 @@ impl Invariants {
         }
         assert_eq!(first, frames.len().checked_sub(1), "announce_before_close: {frames:02X?}\n{}", world.tail());
     }
+}
+
+/// Whether a FAST STOP is latched that a client requested.
+fn is_requested(state: &State) -> bool {
+    state.latch.as_ref().is_some_and(|latch| &*latch.fast_stop_by != "device")
 }
 
 fn encode(command: &Command) -> Vec<u8> {
