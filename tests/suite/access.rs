@@ -220,13 +220,13 @@ async fn session_does_not_work_from_pages_of_other_origins() {
     let browser = reqwest::Client::new();
     let signed_in = browser.post(gateway.url("/api/v1/session")).json(&json!({"token": secrets[0]}));
     let cookie = signed_in.send().await.unwrap().headers()["set-cookie"].to_str().unwrap().to_owned();
-    let me = || browser.get(gateway.url("/api/v1/me")).header("Cookie", cookie.split(';').next().unwrap());
-    assert_eq!(gateway.send(me()).await.ok()["proof"], "session");
-    gateway.send(me().header("Origin", "https://hmi.example")).await.problem(401, "unauthorized");
-    let foreign = |method: Method, path: &str| {
-        let request = browser.request(method, gateway.url(path)).header("Cookie", cookie.split(';').next().unwrap());
-        request.header("Origin", "https://hmi.example")
+    let request = |method: Method, path: &str| {
+        browser.request(method, gateway.url(path)).header("Cookie", cookie.split(';').next().unwrap())
     };
+    let me = || request(Method::GET, "/api/v1/me");
+    let foreign = |method, path| request(method, path).header("Origin", "https://hmi.example");
+    assert_eq!(gateway.send(me()).await.ok()["proof"], "session");
+    gateway.send(foreign(Method::GET, "/api/v1/me")).await.problem(401, "unauthorized");
     let pin = foreign(Method::POST, "/api/v1/session/pin").json(&json!({"pin": "000000"}));
     let refused = gateway.send(pin).await.problem(401, "unauthorized");
     assert!(refused["detail"].as_str().unwrap().contains("session has ended"), "{refused}");

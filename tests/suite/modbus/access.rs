@@ -34,12 +34,18 @@ async fn only_allowed_addresses_can_connect() {
     assert_eq!(allowed.seen().await.counter, 0);
 }
 
+/// A client that the configuration knows by its address, with this role.
+async fn client_with_role(role: &str) -> (Gateway, Plc) {
+    let client = format!("[[clients]]\nname = \"hmi\"\naddress = \"127.0.0.3\"\nrole = \"{role}\"\n[access]\n");
+    let (gateway, address) = gateway(&client).await;
+    let mut plc = Plc::from("127.0.0.3", address).await;
+    plc.write(COUNTER, &[0, NONE]).await.unwrap();
+    (gateway, plc)
+}
+
 #[tokio::test]
 async fn observer_reads_and_stops_but_moves_nothing() {
-    let client = "[[clients]]\nname = \"hmi\"\naddress = \"127.0.0.3\"\nrole = \"observer\"\n";
-    let (_gateway, address) = gateway(&format!("{client}[access]\n")).await;
-    let mut hmi = Plc::from("127.0.0.3", address).await;
-    hmi.write(COUNTER, &[0, NONE]).await.unwrap();
+    let (_gateway, mut hmi) = client_with_role("observer").await;
     for command in [HOME, STOP] {
         let refused = hmi.ended(command, Values::default()).await;
         assert_eq!((refused.problem, refused.status & NOK), (FORBIDDEN, NOK), "{refused:?}");
@@ -50,10 +56,7 @@ async fn observer_reads_and_stops_but_moves_nothing() {
 
 #[tokio::test]
 async fn stop_controller_reads_and_stops_but_moves_nothing() {
-    let client = "[[clients]]\nname = \"curtain\"\naddress = \"127.0.0.3\"\nrole = \"stop\"\n";
-    let (_gateway, address) = gateway(&format!("{client}[access]\n")).await;
-    let mut curtain = Plc::from("127.0.0.3", address).await;
-    curtain.write(COUNTER, &[0, NONE]).await.unwrap();
+    let (_gateway, mut curtain) = client_with_role("stop").await;
     let refused = curtain.ended(HOME, Values::default()).await;
     assert_eq!((refused.problem, refused.status & NOK), (FORBIDDEN, NOK), "{refused:?}");
     let stopped = curtain.ended(STOP, Values::default()).await;
