@@ -7,6 +7,7 @@ use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 
 use super::problem::Problem;
+use super::values::shortened;
 
 #[derive(Debug)]
 pub struct QueryString(Vec<(String, String)>);
@@ -23,7 +24,7 @@ impl QueryString {
     pub fn only(self, known: &[&str]) -> Result<Self, Problem> {
         match self.0.iter().find(|(name, _)| !known.contains(&name.as_str())) {
             Some((name, _)) => {
-                let name: String = name.chars().take(32).collect();
+                let name = shortened(name);
                 let detail = format!("unknown query parameter {name:?}; known: {}", known.join(", "));
                 Err(Problem::malformed(name, detail))
             }

@@ -17,7 +17,7 @@ use crate::gripper::model::{Name, PartId, ShownName, Text};
 use crate::wsg::{Acceleration, Force, NotFinite, Speed, Width};
 
 /// Cuts a client's text to the 32 characters that an answer repeats.
-pub(super) fn shortened(text: &str) -> String {
+pub fn shortened(text: &str) -> String {
     text.chars().take(32).collect()
 }
 

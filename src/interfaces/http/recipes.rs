@@ -16,6 +16,7 @@ use super::paths::responses::{JournalProblem, RecipeProblem};
 use crate::gripper::model::Recipe;
 use crate::journal::csv::{original, table};
 use crate::operations::recipes::{RecipeList, SET_SEVERAL};
+use crate::operations::values::shortened;
 use crate::operations::{Fields, Problem};
 
 const PART_ID: &str = "part_id";
@@ -91,7 +92,7 @@ fn parse(table: &[u8]) -> Result<Vec<Map<String, Value>>, Problem> {
     let invalid = |error: csv::Error| Problem::malformed("body", format!("invalid CSV: {error}"));
     let columns = reader.headers().map_err(invalid)?.clone();
     if let Some(unknown) = columns.iter().find(|column| !COLUMNS.contains(column)) {
-        let unknown: String = unknown.chars().take(32).collect();
+        let unknown = shortened(unknown);
         return Err(Problem::malformed(&unknown, format!("unknown column {unknown:?}; known: {}", COLUMNS.join(", "))));
     }
     let is_repeated = |column: &&str| columns.iter().filter(|other| other == column).count() > 1;
