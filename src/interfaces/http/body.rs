@@ -9,12 +9,8 @@ use http_body_util::{BodyExt, LengthLimitError, Limited};
 use tokio::time::timeout;
 
 use crate::interfaces::admission::{ConnectionPermit, HeldBytes};
-use crate::operations::json::MAX_BODY_BYTES;
+use crate::operations::json::{MAX_BODY_BYTES, MAX_OVERSIZED_BYTES};
 use crate::operations::{Code, Problem};
-
-/// Bytes of an oversized body that are read and discarded. A client that is still sending when the connection closes
-/// sees a reset instead of the response that says why.
-pub const MAX_DISCARDED_BYTES: usize = 2 * 1024 * 1024;
 
 /// Time in which a body must arrive: [`MAX_BODY_BYTES`] at 64 kbit/s, and a little more.
 pub const BODY_TIME: Duration = Duration::from_secs(10);
@@ -60,7 +56,7 @@ pub async fn drain(mut stream: Stream) {
         let mut bytes = 0;
         while let Some(Ok(frame)) = stream.frame().await {
             bytes += frame.data_ref().map_or(0, Bytes::len);
-            if bytes > MAX_DISCARDED_BYTES {
+            if bytes > MAX_OVERSIZED_BYTES {
                 break;
             }
         }

@@ -36,7 +36,7 @@ use crate::interfaces::admission::{Claim, Class, ConnectionPermit, HeldBytes};
 use crate::interfaces::client_stream::ClientStream;
 use crate::interfaces::metrics::Connected;
 use crate::interfaces::pace::RequestPace;
-use crate::operations::json::MAX_BODY_BYTES;
+use crate::operations::json::{MAX_BODY_BYTES, MAX_OVERSIZED_BYTES};
 use crate::operations::{Caller, Code, ConnectionLease, Problem, is_fast_stop, lease, named, require, urgency};
 
 const PINGED_EVERY: Duration = Duration::from_secs(1);
@@ -57,10 +57,6 @@ const CALL_BYTES: usize = 4 * 1024;
 
 /// Maximum number of commands of one client whose end is reported. The client must ask for the end of further ones.
 const MAX_COMMANDS: usize = 64;
-
-/// Maximum length of a message, in bytes. Messages longer than [`MAX_BODY_BYTES`] are read only to find a FAST STOP in
-/// them. HTTP reads as many bytes of an oversized body.
-const MAX_MESSAGE_BYTES: usize = 2 * 1024 * 1024;
 
 /// Read buffer size: requests are small, and there can be a thousand clients.
 const READ_BYTES: usize = 1024;
@@ -138,8 +134,8 @@ impl Socket {
         let writer = AbortOnDropHandle::new(runtimes.observers.spawn(writer.run()));
         let bounds = WebSocketConfig::default()
             .read_buffer_size(READ_BYTES)
-            .max_message_size(Some(MAX_MESSAGE_BYTES))
-            .max_frame_size(Some(MAX_MESSAGE_BYTES));
+            .max_message_size(Some(MAX_OVERSIZED_BYTES))
+            .max_frame_size(Some(MAX_OVERSIZED_BYTES));
         let incoming = WebSocketStream::from_raw_socket(inbound, Role::Server, Some(bounds)).await;
         let mut pings = tokio::time::interval(PINGED_EVERY);
         pings.set_missed_tick_behavior(MissedTickBehavior::Delay);
