@@ -11,7 +11,7 @@ use wsg_gateway::gripper::model::{
     OnLossMoving, Phase, State, TakeLease,
 };
 use wsg_gateway::gripper::{Conflict, Rejection, Ticket};
-use wsg_gateway::wsg::SystemState;
+use wsg_gateway::wsg::{Command, SystemState, Updates};
 
 use wsg_gateway::gripper::model::lease::DEFAULT_TTL;
 
@@ -446,7 +446,9 @@ impl Leases {
         let fingers = &world.leases.fingers;
         let (moves, since) = fingers.since?;
         let is_long = world.now >= since + KNOWN_AFTER;
-        let is_heard = state.updated_at.is_some_and(|at| world.now < at + HEARD_WITHIN);
+        // A device that refuses 40h still sends its other values.
+        let sends_flags = world.device.snapshot().updates.contains(&Command::GetSystemState(Updates::Off).id());
+        let is_heard = sends_flags && state.updated_at.is_some_and(|at| world.now < at + HEARD_WITHIN);
         let reported = state.moving.filter(|_| state.moving == fingers.reported_moving);
         // If the link was lost or the device is silent, the last motion may continue.
         let stands = !fingers.runs && state.command.is_none() && has_link(&state) && is_heard;
