@@ -2,6 +2,7 @@
 //! operations of the API, so they are refused for the same reasons and in the same words.
 //!
 //! Sending a reply can block on a client that reads nothing, so each reply is sent from a thread that nobody waits for.
+//! Such a client keeps neither the slot of a FAST STOP, nor all threads: FAST STOPs to other gateways need one.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -38,6 +39,10 @@ const MAX_FAST_STOPS: usize = 64;
 
 /// Maximum number of concurrent reads of records, each with at most a hundred records.
 const MAX_RECORD_READS: usize = 8;
+
+/// Maximum number of threads that send results of FAST STOPs, other results, and refusals for lack of a slot. All three
+/// leave others a quarter of Tokio's 512 threads for work that can block.
+const MAX_SENDING: usize = 128;
 
 /// The parameters of a query's selector.
 const WAIT_MS: &str = "wait_ms";
@@ -80,6 +85,9 @@ pub struct Queries {
     fast_stop_slots: Mutex<BTreeMap<Name, Arc<Semaphore>>>,
     /// Slots of FAST STOPs that name no gripper.
     fast_stop_all_slots: Arc<Semaphore>,
+    sending_fast_stops: Arc<Semaphore>,
+    sending_results: Arc<Semaphore>,
+    sending_refusals: Arc<Semaphore>,
 }
 
 #[derive(Debug)]
@@ -116,6 +124,9 @@ impl Queries {
             record_slots: semaphore(MAX_RECORD_READS),
             fast_stop_slots: Mutex::default(),
             fast_stop_all_slots: semaphore(MAX_FAST_STOPS),
+            sending_fast_stops: semaphore(MAX_SENDING),
+            sending_results: semaphore(MAX_SENDING),
+            sending_refusals: semaphore(MAX_SENDING),
         }
     }
 
@@ -171,17 +182,19 @@ impl Queries {
 
     /// Answers a read of the gateway as a whole.
     fn of_gateway(self: &Arc<Self>, query: Query, what: &'static str) {
-        let Ok(place) = self.record_slots.clone().try_acquire_owned() else {
-            let detail = format!("too many reads of records ({MAX_RECORD_READS} in progress): try again later");
-            return self.reply(query, None, Err(Problem::new(Code::Overloaded, detail)), None);
-        };
+        let slot = self.record_slots.clone().try_acquire_owned().ok();
         let queries = self.clone();
         self.runtime.spawn(async move {
+            if slot.is_none() {
+                let detail = format!("too many reads of records ({MAX_RECORD_READS} in progress): try again later");
+                let problem = Problem::new(Code::Overloaded, detail);
+                return queries.reply(&queries.sending_refusals, query, None, Err(problem), None).await;
+            }
             let payload = query.payload().map(|payload| payload.to_bytes().into_owned()).unwrap_or_default();
             let result = queries.gateway_read(what, &payload).await;
             let status = result.as_ref().map_or_else(|problem| problem.status().as_u16(), |_| 200);
             queries.metrics.answered(Some(what), "QUERY", status);
-            queries.reply(query, Some(queries.keys.own(what)), result, Some(place));
+            queries.reply(&queries.sending_results, query, Some(queries.keys.own(what)), result, slot).await;
         });
     }
 
@@ -260,19 +273,25 @@ impl Queries {
     /// Answers a query, or refuses it if too many are in progress.
     fn answer(self: &Arc<Self>, query: Query, asked: Result<ParsedQuery, Problem>) {
         let slots = asked.as_ref().map_or_else(|_| self.slots.clone(), |asked| self.slots_for(asked));
-        let Ok(place) = slots.try_acquire_owned() else {
-            tracing::warn!(key = %query.key_expr(), "Zenoh query refused: too many in progress");
-            let detail = format!("too many Zenoh queries ({MAX_QUERIES} in progress): wait for their replies");
-            self.reply(query, None, Err(Problem::new(Code::Overloaded, detail)), None);
-            return;
-        };
+        let slot = slots.try_acquire_owned().ok();
         let queries = self.clone();
         self.runtime.spawn(async move {
+            let is_fast_stop = asked.as_ref().is_ok_and(|asked| is_fast_stop(&asked.method));
             let (key, result) = match asked {
+                _ if slot.is_none() => {
+                    tracing::warn!(key = %query.key_expr(), "Zenoh query refused: too many in progress");
+                    let detail = format!("too many Zenoh queries ({MAX_QUERIES} in progress): wait for their replies");
+                    (None, Err(Problem::new(Code::Overloaded, detail)))
+                }
                 Ok(asked) => (Some(asked.key.clone()), queries.call(asked).await),
                 Err(problem) => (None, Err(problem)),
             };
-            queries.reply(query, key, result, Some(place));
+            let sending = match &slot {
+                _ if is_fast_stop => &queries.sending_fast_stops,
+                Some(_) => &queries.sending_results,
+                None => &queries.sending_refusals,
+            };
+            queries.reply(sending, query, key, result, slot.filter(|_| !is_fast_stop)).await;
         });
     }
 
@@ -342,14 +361,16 @@ impl Queries {
         if is_seen { Presence::Seen } else { Presence::Unseen }
     }
 
-    /// Sends a reply from a thread that can block.
-    fn reply(
+    /// Sends a reply from a thread that can block, which keeps the slot until it has ended.
+    async fn reply(
         &self,
+        sending: &Arc<Semaphore>,
         query: Query,
         key: Option<String>,
         result: Result<Box<RawValue>, Problem>,
-        place: Option<OwnedSemaphorePermit>,
+        slot: Option<OwnedSemaphorePermit>,
     ) {
+        let sends = sending.clone().acquire_owned().await.ok();
         self.runtime.spawn_blocking(move || {
             let json = Encoding::APPLICATION_JSON;
             let sent = match (key, result) {
@@ -360,7 +381,7 @@ impl Queries {
             if let Err(error) = sent {
                 tracing::debug!(%error, "Zenoh reply not sent: the client is gone");
             }
-            drop((query, place));
+            drop((query, slot, sends));
         });
     }
 }

@@ -7,6 +7,7 @@ mod names;
 mod publications;
 mod recipes;
 pub mod router;
+mod stalled;
 mod tls;
 
 use std::time::Duration;
