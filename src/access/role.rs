@@ -3,9 +3,9 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// The rights of a client. Every role may trigger FAST STOPs, and read over Modbus and on the WSG port.
+/// The rights of a client. Every role may trigger FAST STOPs, and may read over Modbus and on the WSG port.
 ///
-/// - `stop`: triggers FAST STOPs and Stops, and nothing else, e.g. for the controller of a light curtain
+/// - `stop`: also triggers Stops, but has no other rights, e.g. for the controller of a light curtain
 /// - `observer`: reads
 /// - `operator`: reads, moves and stops the gripper, holds its lease, changes its settings and acknowledges
 /// - `supervisor`: does all that, takes leases by force, sends raw requests in the device's protocol, tests webhooks,

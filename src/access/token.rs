@@ -20,7 +20,7 @@ pub struct TokenSecret(String);
 
 /// A text that is not a token.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("this is not a token, because tokens have {CHARACTERS} characters and begin with {PREFIX}: copy it again")]
+#[error("this is not a token; tokens have {CHARACTERS} characters and begin with {PREFIX}: copy it again")]
 pub struct NotAToken;
 
 impl TokenSecret {

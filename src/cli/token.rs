@@ -120,7 +120,7 @@ fn file(args: &TokenArgs) -> anyhow::Result<(TokenFile, Config)> {
     Ok((file, config))
 }
 
-/// Returns why a token for this gripper has no effect on the gateway, if so. It can be meant for another gateway.
+/// Returns a warning if this gateway has no such gripper. The token may be meant for another gateway.
 fn unknown(gripper: &Name, config: &Config) -> Option<String> {
     let names: Vec<_> = config.grippers.iter().map(|gripper| gripper.name.as_str()).collect();
     let is_known = names.contains(&gripper.as_str());

@@ -208,7 +208,7 @@ pub(super) fn unknown_grippers(file: Option<&File>, grippers: &[GripperConfig]) 
     let names: Vec<_> = grippers.iter().map(|gripper| gripper.name.as_str()).collect();
     let warning = |(client, name): (&ClientContent, &Spanned<String>)| {
         let (client, gripper, names) = (client.name.get_ref(), name.get_ref(), names.join(", "));
-        let detail = format!("client {client} is for the gripper {gripper}, but this gateway has only {names}");
+        let detail = format!("client {client} names the unknown gripper {gripper}: this gateway has {names}");
         ConfigError::at(&file.place(name.span().start), detail)
     };
     let of_client = |client| ClientContent::grippers(client).filter(is_unknown).map(move |name| (client, name));

@@ -28,7 +28,7 @@ pub(super) fn of_http(config: &Config, before: Option<Arc<Tls>>) -> anyhow::Resu
     })
 }
 
-/// Adds to an error of TLS the place and the key of the wrong file.
+/// Adds the setting and its place in the configuration to a TLS error.
 fn named(config: &Config, error: &TlsError) -> anyhow::Error {
     let (Some(files), Some(places)) = (&config.tls, &config.tls_places) else { return anyhow!("{error}") };
     let (key, place) = match error.path() {
@@ -42,7 +42,7 @@ fn named(config: &Config, error: &TlsError) -> anyhow::Error {
 /// Logs settings that are valid but probably mistaken.
 pub(super) fn log_warnings(config: &Config) {
     for setting in &config.warnings {
-        tracing::warn!(%setting, "setting without effect: check the names of grippers");
+        tracing::warn!(%setting, "setting without effect: check the gripper's name");
     }
     // Clients that are known by addresses or certificates need no tokens.
     if let AccessConfig::Guarded(guarded) = &config.access

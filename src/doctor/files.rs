@@ -59,9 +59,10 @@ pub(super) fn secrets(installation: &Installation) -> Vec<Diagnosis> {
     if let AccessConfig::Guarded(Guarded { tokens: path, clients, .. }) = &config.access {
         let shown = path.display();
         findings.push(match TokenFile::at(path.clone()).list() {
-            Ok(tokens) if tokens.is_empty() && !clients.is_empty() => {
-                Diagnosis::good("tokens", format_args!("{shown} has no token, so only [[clients]] have rights"))
-            }
+            Ok(tokens) if tokens.is_empty() && !clients.is_empty() => Diagnosis::good(
+                "tokens",
+                format_args!("{shown} has no token, so only the clients in [[clients]] have rights"),
+            ),
             Ok(tokens) if tokens.is_empty() => {
                 let state = if path.exists() { "has no token" } else { "does not exist" };
                 let remedy = "check the path, or create a token with `wsg-gateway token create`";

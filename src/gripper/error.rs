@@ -271,10 +271,10 @@ pub enum Failure {
 
 fn link_down(link: Link, url: &str, cause: Option<&str>) -> String {
     let remedy = match cause {
-        None => "it is being set up, try again in a moment",
-        // Its cause has the remedy.
+        None => "it is being set up; try again in a moment",
+        // The cause of a released link includes the remedy.
         Some(_) if link == Link::Released => "",
-        // So has a cause of the other transports that is in two parts.
+        // On transports other than TCP, a cause in two parts also includes it.
         Some(cause) if !url.starts_with("tcp:") && cause.contains(": ") => "",
         Some(_) => "check power, cable and address",
     };
@@ -316,7 +316,7 @@ mod tests {
         let setup = said(Link::Connecting, "can://can0", None);
         assert_eq!(
             setup,
-            "no link to the device at can://can0 (connecting): it is being set up, try again in a moment"
+            "no link to the device at can://can0 (connecting): it is being set up; try again in a moment"
         );
         for (link, url, cause) in [
             (Link::Reconnecting, "can://can0", "can0 is down: bring it up with sudo ip link set can0 up"),

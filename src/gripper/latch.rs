@@ -1,8 +1,8 @@
 //! The latch: a FAST STOP that stays until it is acknowledged by its id.
 //!
 //! A requested FAST STOP is sent again until the device's flags confirm it. A FAST STOP that the gateway did not cause
-//! becomes a latch too, confirmed from the start. A latch outlives a device that leaves its FAST STOP without an
-//! acknowledgement by the latch's id. If a client requested the FAST STOP, it is then sent again. Nothing is acknowledged
+//! becomes a latch too, confirmed from the start. If the device leaves its FAST STOP without an acknowledgement by the
+//! latch's id, the latch stays; if a client requested the FAST STOP, it is sent again. Nothing is acknowledged
 //! automatically.
 
 use std::time::{Duration, Instant};
@@ -158,7 +158,7 @@ impl LatchState {
         }
     }
 
-    /// Notes that the device has left its FAST STOP without an acknowledgement of the gateway, so that 23h is sent again.
+    /// Notes that the device has left its FAST STOP without the gateway's acknowledgement, so that 23h is sent again.
     fn forgotten(&mut self, now: Instant) {
         if let Some(latch) = &mut self.latch {
             latch.confirmed = false;

@@ -68,7 +68,7 @@ pub enum TlsError {
 }
 
 impl TlsError {
-    /// The file that is wrong. A key that does not fit is wrong, too.
+    /// The file that caused the error; the key if certificate and key cannot be used together.
     #[must_use]
     pub fn path(&self) -> &Path {
         match self {

@@ -11,8 +11,9 @@ use crate::gripper::model::Code;
 /// Largest accepted body, message or payload, in bytes. The largest that any request needs is a `raw` one of 8 KiB.
 pub const MAX_BODY_BYTES: usize = 64 * 1024;
 
-/// Maximum number of bytes that are read of an oversized body or message, in which only a FAST STOP counts. An HTTP client
-/// that is still sending when the connection closes sees a reset instead of the response that says why.
+/// Maximum number of bytes that are read of an oversized body or message. Only a FAST STOP in a message counts. Bodies
+/// are read and discarded, because an HTTP client that is still sending when the connection closes sees a reset instead
+/// of the response with the reason.
 pub const MAX_OVERSIZED_BYTES: usize = 2 * 1024 * 1024;
 
 /// Parses the JSON object in `bytes`. Empty input stands for an empty object. NUL bytes after the object are ignored:

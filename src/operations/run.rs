@@ -80,11 +80,11 @@ pub async fn run(
     result
 }
 
-/// Returns the problem of a forbidden request if its gripper does not exist, which is the better reason.
+/// Returns `not_found` in place of `forbidden` if the gripper does not exist, since that is the better reason.
 fn missing_gripper(gateway: &Gateway, params: &Params, problem: &Problem) -> Option<Problem> {
     let name = params.path.get("gripper").filter(|_| problem.code() == Code::Forbidden)?;
     let exists = params.gripper().is_some_and(|gripper| gateway.grippers.get(&gripper).is_some());
-    // Only a known caller is forbidden something.
+    // The caller is known: an unknown one gets `unauthorized`.
     (!exists).then(|| gateway.no_gripper(name, true))
 }
 
@@ -192,7 +192,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn missing_gripper_comes_before_missing_rights_but_not_before_a_credential() {
+    async fn missing_gripper_is_reported_to_known_callers_only() {
         let gateway = Gateway::of([fake::gripper("left", FakeScript::default()).0]);
         let scope = Scope::Only(["left".parse().unwrap()].into());
         let [robot, panel] = [Role::Operator, Role::Observer]

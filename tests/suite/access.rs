@@ -273,7 +273,7 @@ async fn reload_without_a_token_names_its_own_options() {
 }
 
 #[tokio::test]
-async fn restricted_client_learns_which_grippers_exist_but_a_stranger_does_not() {
+async fn only_known_clients_see_the_names_of_grippers() {
     let (gateway, secrets) = guarded().await;
     let home = gateway.url("/api/v1/grippers/lefft/home");
     let other = reqwest::Client::new().post(&home).bearer_auth(&secrets[2]);

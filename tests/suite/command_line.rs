@@ -143,7 +143,7 @@ async fn unknown_gripper_of_a_client_or_token_is_a_warning() {
     let config = &files.write("gateway.toml", &format!("{client}[grippers.left]\nurl = \"sim://wsg50\"\n"));
     let checked = run(&["check", "--config", config]).await;
     assert!(checked.status.success(), "{checked:?}");
-    let expected = "gateway.toml:5: client plc is for the gripper lft, but this gateway has only left";
+    let expected = "gateway.toml:5: client plc names the unknown gripper lft: this gateway has left";
     assert!(checked.stderr.starts_with("warning: ") && checked.stderr.contains(expected), "{checked:?}");
     let create = ["token", "--config", config, "create", "--name", "robot", "--role", "operator", "--gripper"];
     let created = run(&[&create[..], &["lefft"]].concat()).await;

@@ -119,7 +119,7 @@ async fn list_applies_its_filters() {
     }
     for command in ["list", "export"] {
         let ended = run(&["journal", "--journal", &file.path(), command, "--gripper", "middle"]).await;
-        let expected = format!("no records match in {}: --journal PATH or --name NAME names", file.path());
+        let expected = format!("no records match in {}: for another journal, pass --journal PATH", file.path());
         assert!(ended.status.success() && ended.stderr.starts_with(&expected), "{ended:?}");
     }
 }

@@ -170,8 +170,10 @@ pub(super) fn run(journal: &JournalArgs, out: impl Write) -> anyhow::Result<()> 
 fn report_none(count: u64, path: &Path) {
     if count == 0 {
         let path = path.display();
-        let _ =
-            writeln!(io::stderr(), "no records match in {path}: --journal PATH or --name NAME names another journal");
+        let _ = writeln!(
+            io::stderr(),
+            "no records match in {path}: for another journal, pass --journal PATH or --name NAME"
+        );
     }
 }
 

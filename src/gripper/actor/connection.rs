@@ -169,7 +169,7 @@ impl Actor {
         }
     }
 
-    /// Stops the motion that should have been stopped before the link was lost, if it still runs.
+    /// Sends the Stop that is still owed after a lost link, if its motion is still running.
     fn send_owed_stop(&mut self, now: Now, stop: OwnStop) {
         let runs = self.observed.has(SystemState::MOVING) && self.motion.mover(now.instant) == stop.motion;
         if runs && stop.motion.is_some() && self.latch.id().is_none() {

@@ -83,7 +83,10 @@ impl Actor {
             }
             Some(LatchChange::Cleared) => tracing::info!(gripper = %self.config.name, "FAST STOP cleared"),
             Some(LatchChange::Forgotten) => {
-                tracing::warn!(gripper = %self.config.name, "device left FAST STOP unacknowledged: stopping it again");
+                tracing::warn!(
+                    gripper = %self.config.name,
+                    "device no longer in FAST STOP, although not acknowledged here: stopping it again"
+                );
             }
             None => {}
         }

@@ -144,7 +144,8 @@ pub(super) struct DeviceLink {
     pub was_up: bool,
     /// Whether the last connection-oriented link ended without an announcement.
     pub unannounced: bool,
-    /// A Stop of the gateway's own that the device had not confirmed when the link was lost.
+    /// Stop of the gateway's own to send after the next setup: the device had not confirmed it when the link was lost,
+    /// or it was requested without a link.
     pub owed_stop: Option<OwnStop>,
     wire_log: WireLog,
 }

@@ -18,8 +18,7 @@ pub fn cookie_name(has_tls: bool) -> &'static str {
     if has_tls { SECURE_COOKIE } else { SESSION_COOKIE }
 }
 
-/// Returns the name of the session's cookie in a request, if its session counts. Pages of other origins have no session
-/// here.
+/// Returns the name of the session's cookie. Returns `None` for a page of another origin, which has no session here.
 pub fn accepted_cookie(headers: &HeaderMap, settings: &HttpSettings) -> Option<&'static str> {
     let is_foreign = headers.get_all(ORIGIN).iter().any(|origin| settings.allows_origin(origin));
     (!is_foreign).then(|| cookie_name(settings.tls.is_some()))
@@ -128,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn text_that_is_no_token_is_told_apart_from_another_scheme() {
+    fn invalid_token_is_distinguished_from_another_scheme() {
         let refused = |value: &str| {
             let presented = headers("authorization", &[value]);
             let found =

@@ -2,7 +2,8 @@
 //! operations of the API, so they are refused for the same reasons and in the same words.
 //!
 //! Sending a reply can block on a client that reads nothing, so each reply is sent from a thread that nobody waits for.
-//! Such a client keeps neither the slot of a FAST STOP, nor all threads: FAST STOPs to other gateways need one.
+//! Such a client can occupy neither the slot of a FAST STOP nor all threads, because FAST STOPs to other gateways need
+//! a thread.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -40,8 +41,8 @@ const MAX_FAST_STOPS: usize = 64;
 /// Maximum number of concurrent reads of records, each with at most a hundred records.
 const MAX_RECORD_READS: usize = 8;
 
-/// Maximum number of threads that send results of FAST STOPs, other results, and refusals for lack of a slot. All three
-/// leave others a quarter of Tokio's 512 threads for work that can block.
+/// Maximum number of threads for each of three kinds of replies: results of FAST STOPs, other results, and refusals for
+/// lack of a slot. Together they leave a quarter of Tokio's 512 threads for other work that can block.
 const MAX_SENDING: usize = 128;
 
 /// The parameters of a query's selector.
@@ -361,7 +362,7 @@ impl Queries {
         if is_seen { Presence::Seen } else { Presence::Unseen }
     }
 
-    /// Sends a reply from a thread that can block, which keeps the slot until it has ended.
+    /// Sends a reply from a thread that can block. The slot stays occupied until that thread has sent the reply.
     async fn reply(
         &self,
         sending: &Arc<Semaphore>,

@@ -165,7 +165,7 @@ pub struct Session {
     round_trip: Option<Duration>,
     /// Ids that have received a reply without a request, so that others can follow.
     repeated: BTreeSet<u8>,
-    /// Order of the newest motion, script or acknowledgement written. A stop before it does not stop what it began.
+    /// Order of the newest motion, script or acknowledgement written. An earlier stop does not stop what it begins.
     newest_start: Option<u64>,
     next_token: u64,
     moving: bool,

@@ -1,5 +1,5 @@
-//! State of each id: one request in flight, or a few of a Stop or FAST STOP, or closed after a timeout until no late
-//! reply can arrive.
+//! State of each id: free; in use by one request, or by several Stops or FAST STOPs; or closed after a timeout until no
+//! late reply can arrive.
 
 use std::time::Instant;
 
@@ -108,8 +108,8 @@ impl Slots {
         !self.0.iter().any(|slot| slot.id == id)
     }
 
-    /// Whether one more stop can be written beside those in flight, because all were written before the frame with the
-    /// order `start`, whose effect they do not stop.
+    /// Whether one more stop may be written: all stops in flight were written before the frame with the order `start`,
+    /// so they do not stop its effect.
     pub(super) fn admit_another(&self, id: u8, start: Option<u64>) -> bool {
         let mut stops = self.in_flight().filter(|(in_flight_id, _)| *in_flight_id == id);
         stops.clone().count() < MAX_STOPS_IN_FLIGHT && stops.all(|(_, stop)| Some(stop.order) < start)

@@ -198,7 +198,7 @@ fn lease_released_on_a_lost_link_stops_the_motion_afterwards() {
 }
 
 #[test]
-fn holder_lost_on_an_unresponsive_link_is_a_fast_stop() {
+fn holder_lost_on_an_unresponsive_link_triggers_a_fast_stop() {
     let (mut world, a, _) = silent_motion(OnLossMoving::Stop);
     world.advance(Duration::from_secs(2));
     assert_eq!(state(&world).link, Link::Unresponsive);
