@@ -20,6 +20,7 @@ pub(super) struct Owned {
     accept: Runtime,
     sockets: Runtime,
     observers: Runtime,
+    publications: Runtime,
 }
 
 impl Owned {
@@ -32,6 +33,7 @@ impl Owned {
             sockets: single("sockets").event_interval(EVENT_INTERVAL).build()?,
             // Updates for a thousand observers must not delay a request.
             observers: single("observers").on_thread_start(yield_to_others).build()?,
+            publications: single("publications").on_thread_start(yield_to_others).build()?,
         })
     }
 
@@ -41,11 +43,12 @@ impl Owned {
             requests: self.requests.handle().clone(),
             sockets: self.sockets.handle().clone(),
             observers: self.observers.handle().clone(),
+            publications: self.publications.handle().clone(),
         }
     }
 
     pub(super) fn end(self) {
-        for runtime in [self.observers, self.sockets, self.accept, self.requests, self.devices] {
+        for runtime in [self.publications, self.observers, self.sockets, self.accept, self.requests, self.devices] {
             runtime.shutdown_background();
         }
     }

@@ -13,6 +13,8 @@ pub struct Runtimes {
     pub sockets: Handle,
     /// Writes updates to observers. Its thread yields to all others.
     pub observers: Handle,
+    /// Publishes to Zenoh, whose calls can block on a client that reads nothing.
+    pub publications: Handle,
 }
 
 impl Runtimes {
@@ -20,7 +22,7 @@ impl Runtimes {
     #[cfg(test)]
     #[must_use]
     pub fn current() -> Self {
-        let [accept, requests, sockets, observers] = std::array::from_fn(|_| Handle::current());
-        Self { accept, requests, sockets, observers }
+        let [accept, requests, sockets, observers, publications] = std::array::from_fn(|_| Handle::current());
+        Self { accept, requests, sockets, observers, publications }
     }
 }

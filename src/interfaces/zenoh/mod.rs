@@ -125,7 +125,7 @@ impl Declarations {
             }
             let queryables = self.queries.declare_gripper(session, handle.name()).await?;
             let publications = Publications::declare(session, &self.keys, &handle).await?;
-            let publishing = context.runtimes.observers.spawn(publications.run(context.clone(), self.max_hz));
+            let publishing = context.runtimes.publications.spawn(publications.run(context.clone(), self.max_hz));
             let publishing = AbortOnDropHandle::new(publishing);
             self.grippers.push(GripperDeclarations { handle, _queryables: queryables, _publishing: publishing });
         }
