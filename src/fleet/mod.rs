@@ -82,6 +82,9 @@ pub struct FleetStop {
     pub id: FastStopId,
     /// Each gripper, as gateway/gripper, and whether it has confirmed.
     pub stops: Vec<(String, bool)>,
+    /// Whether these are the grippers of all gateways: the network is connected as configured, and each gateway that is
+    /// alive has reported its grippers.
+    pub is_complete: bool,
 }
 
 impl Peers {
@@ -191,7 +194,8 @@ impl Peers {
     }
 
     /// Stops the grippers of all gateways. This gateway's own grippers wait neither for the others nor for Zenoh. For
-    /// a minute, the FAST STOP is repeated to gateways that missed it.
+    /// a minute, the FAST STOP is repeated to gateways that missed it, and sent to those that appear if some were out of
+    /// reach.
     pub async fn fast_stop(self: &Arc<Self>, client: &Client, reason: &Reason) -> FleetStop {
         let begun = Now::read().instant;
         let payload = serde_json::json!({"reason": reason.as_str(), "client": &*client.subject}).to_string();
@@ -201,17 +205,22 @@ impl Peers {
         let own = own.into_iter();
         let own = own.map(|(gripper, confirmed)| (format!("{}/{gripper}", self.gateway), confirmed && is_one));
         let others = self.others().stops_since(begun);
-        let is_open = |stop: &PeerStop| matches!(stop, PeerStop::Unknown { .. } | PeerStop::Gone);
-        let open: BTreeSet<_> = others.iter().filter(|(_, stop)| is_open(stop)).map(|(name, _)| name.clone()).collect();
-        if !open.is_empty() {
-            let repeating = tokio::spawn(self.clone().repeat_fast_stop(begun, payload, open));
+        let is_complete = self.is_complete();
+        let has_open = others.values().any(|stop| !stop.has_arrived());
+        if has_open || !is_complete {
+            let repeating = tokio::spawn(self.clone().repeat_fast_stop(begun, payload));
             // The newest task covers all open grippers.
             if let Some(before) = self.repeating().replace(repeating.abort_handle()) {
                 before.abort();
             }
         }
         let confirmed = |((gateway, gripper), stop)| (format!("{gateway}/{gripper}"), stop == PeerStop::Confirmed);
-        FleetStop { id, stops: own.chain(others.into_iter().map(confirmed)).collect() }
+        FleetStop { id, stops: own.chain(others.into_iter().map(confirmed)).collect(), is_complete }
+    }
+
+    /// Whether all gateways of the network can be reached and have reported their grippers, as far as known.
+    fn is_complete(&self) -> bool {
+        self.cause.borrow().is_none() && !self.others().has_unreported()
     }
 
     /// Sends the FAST STOP to the others, and queries them until all that are alive have confirmed.
@@ -233,27 +242,34 @@ impl Peers {
         let _ = tokio::time::timeout(FAST_STOP_WAIT, confirmed).await;
     }
 
-    /// Repeats a FAST STOP to gateways that come back without knowing of it, until the gateways of all `open` grippers
-    /// do.
-    async fn repeat_fast_stop(self: Arc<Self>, begun: Instant, payload: String, mut open: BTreeSet<(Name, Name)>) {
+    /// Repeats a FAST STOP to gateways that do not know of it, until the gateways of all grippers do.
+    async fn repeat_fast_stop(self: Arc<Self>, begun: Instant, payload: String) {
+        // A gripper of `arrived` can have been acknowledged since.
+        let (mut arrived, mut open) = (BTreeSet::new(), BTreeSet::new());
         let repeated = async {
             let mut ticks = tokio::time::interval(REPEATED_EVERY);
-            while !open.is_empty() {
-                ticks.tick().await;
-                self.ask_states();
+            loop {
                 let stops = self.others().stops_since(begun);
-                open.retain(|name| !matches!(stops.get(name), Some(PeerStop::Confirmed | PeerStop::Latched)));
+                arrived.extend(stops.iter().filter(|(_, stop)| stop.has_arrived()).map(|(name, _)| name.clone()));
+                open = stops.keys().filter(|name| !arrived.contains(*name)).cloned().collect();
+                if open.is_empty() && self.is_complete() {
+                    return;
+                }
                 let is_missed = |name: &&(Name, Name)| stops.get(name) == Some(&PeerStop::Unknown { is_missed: true });
                 let gateways: BTreeSet<_> = open.iter().filter(is_missed).map(|(gateway, _)| gateway).collect();
                 for gateway in gateways {
                     tracing::warn!(%gateway, "gateway missed a FAST STOP: sending it again");
                     self.put_fast_stop(ZenohKeys::of(gateway).own("fast-stop"), payload.clone());
                 }
+                ticks.tick().await;
+                self.ask_states();
             }
         };
         if tokio::time::timeout(REPEATED_FOR, repeated).await.is_err() {
+            let cause = self.cause.borrow().clone();
             tracing::error!(
                 ?open,
+                cause,
                 "FAST STOP of all gateways not known to have reached these grippers: check them on site"
             );
         }

@@ -72,6 +72,13 @@ pub(super) enum PeerStop {
     Gone,
 }
 
+impl PeerStop {
+    /// Whether the gripper's gateway knows of the FAST STOP.
+    pub(super) fn has_arrived(self) -> bool {
+        matches!(self, Self::Confirmed | Self::Latched)
+    }
+}
+
 /// Everything known of the other gateways.
 #[derive(Debug, Default)]
 pub(super) struct Others {
@@ -143,10 +150,12 @@ impl Others {
         }
     }
 
-    /// Takes the token of a session that declares itself to be the gateway with this name.
+    /// Takes the token of a session that declares itself to be the gateway with this name. The link's token of a gripper
+    /// called `instance` has a similar key, but no session's id.
     pub(super) fn take_instance(&mut self, gateway: Name, instance: &str, is_alive: bool) {
-        let has_room = self.instances.len() < MAX_GATEWAYS && instance.len() <= MAX_INSTANCE_BYTES;
-        if is_alive && has_room && self.instances_of(&gateway).count() < MAX_INSTANCES_OF_ONE {
+        let is_id = instance.len() <= MAX_INSTANCE_BYTES && instance.bytes().all(|byte| byte.is_ascii_hexdigit());
+        let has_room = self.instances.len() < MAX_GATEWAYS;
+        if is_alive && is_id && has_room && self.instances_of(&gateway).count() < MAX_INSTANCES_OF_ONE {
             self.instances.insert((gateway, instance.to_owned()));
         } else if !is_alive {
             self.instances.remove(&(gateway, instance.to_owned()));
@@ -195,6 +204,11 @@ impl Others {
             gateways.entry(gateway.clone()).or_insert(false);
         }
         gateways
+    }
+
+    /// Whether a gateway that is alive has not reported its grippers yet.
+    pub(super) fn has_unreported(&self) -> bool {
+        self.alive.iter().any(|gateway| !self.grippers.keys().any(|(owner, _)| owner == gateway))
     }
 
     /// State of each gripper's FAST STOP since `begun`. Grippers of gone gateways are included: they could still move.
@@ -280,6 +294,7 @@ mod tests {
         let (mut others, left) = (Others::default(), (name("cell-1"), name("left")));
         others.take_token(name("cell-1"), true);
         others.take_instance(name("cell-1"), "1", true);
+        others.take_instance(name("cell-1"), "alive", true);
         others.take_state(left.0.clone(), left.1.clone(), report(true));
         let begun = Instant::now();
         let later = |ms| begun + Duration::from_millis(ms);

@@ -52,7 +52,8 @@ pub struct FleetFastStopAnswer {
     /// Id to name in the acknowledgements of this gateway's own grippers. The fleet's list has the ids of the others.
     #[schema(value_type = uuid::Uuid)]
     fast_stop_id: FastStopId,
-    /// Whether all grippers have confirmed.
+    /// Whether all grippers have confirmed. `false` as well while this gateway is not connected to the Zenoh network as
+    /// configured, or another gateway has not reported its grippers yet.
     fast_stop_confirmed: bool,
     /// Grippers whose flags have shown the FAST STOP, as gateway/gripper.
     confirmed: Vec<String>,
@@ -67,12 +68,12 @@ fn list(call: &Call) -> Result<Json<FleetList>, Problem> {
 }
 
 async fn fast_stop(call: Call) -> Result<Json<FleetFastStopAnswer>, Problem> {
-    let FleetStop { id, stops } = call.gateway.peers.fast_stop(&call.caller.client, &reason(&call)).await;
+    let FleetStop { id, stops, is_complete } = call.gateway.peers.fast_stop(&call.caller.client, &reason(&call)).await;
     log(id);
     let (confirmed, unconfirmed) = by_confirmation(stops);
     Ok(Json(FleetFastStopAnswer {
         fast_stop_id: id,
-        fast_stop_confirmed: unconfirmed.is_empty(),
+        fast_stop_confirmed: unconfirmed.is_empty() && is_complete,
         confirmed,
         unconfirmed,
     }))

@@ -47,6 +47,8 @@ export const de = {
   'stop.not': 'kein Not-Halt',
   'stop.sent': 'FAST STOP gesendet…',
   'stop.confirmed': 'FAST STOP bestätigt ({reach}).',
+  'stop.out_of_reach':
+    'Alle bekannten Greifer haben den FAST STOP bestätigt, aber nicht alle Gateways sind erreichbar. Deren Greifer vor Ort prüfen.',
   'stop.unconfirmed': 'FAST STOP ausgelöst, aber noch nicht von {grippers} bestätigt. Er wird wiederholt.',
   'stop.failed': 'FAST STOP nicht übermittelt: {why} Not-Halt der Zelle betätigen.',
   'link.connecting': 'verbindet',

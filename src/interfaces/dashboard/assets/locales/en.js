@@ -47,6 +47,8 @@ export const en = {
   'stop.not': 'not an emergency stop',
   'stop.sent': 'FAST STOP sent…',
   'stop.confirmed': 'FAST STOP confirmed ({reach}).',
+  'stop.out_of_reach':
+    'FAST STOP confirmed by all known grippers, but not all gateways can be reached. Check their grippers on site.',
   'stop.unconfirmed': 'FAST STOP latched, but not yet confirmed by {grippers}. It is being repeated.',
   'stop.failed': 'FAST STOP did not get through: {why} Use the emergency stop of the cell.',
   'link.connecting': 'connecting',

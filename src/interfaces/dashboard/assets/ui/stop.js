@@ -24,7 +24,7 @@ function change(whom, result) {
 }
 
 const notConfirmed = (unconfirmed, id) => ({
-  text: t('stop.unconfirmed', { grippers: unconfirmed.join(', ') }),
+  text: unconfirmed.length > 0 ? t('stop.unconfirmed', { grippers: unconfirmed.join(', ') }) : t('stop.out_of_reach'),
   isWrong: true,
   unconfirmed,
   id,
