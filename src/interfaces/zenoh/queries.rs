@@ -288,9 +288,9 @@ impl Queries {
                 Err(problem) => (None, Err(problem)),
             };
             let sending = match &slot {
-                _ if is_fast_stop => &queries.sending_fast_stops,
-                Some(_) => &queries.sending_results,
                 None => &queries.sending_refusals,
+                Some(_) if is_fast_stop => &queries.sending_fast_stops,
+                Some(_) => &queries.sending_results,
             };
             queries.reply(sending, query, key, result, slot.filter(|_| !is_fast_stop)).await;
         });
