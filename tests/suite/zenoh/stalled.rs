@@ -4,7 +4,7 @@ use serde_json::{Value, json};
 use zenoh::qos::{CongestionControl, Priority};
 
 use super::fleet;
-use crate::harness::{Directory, Gateway, Simulator, ZenohClient, eventually};
+use crate::harness::{Directory, Gateway, Simulator, Socket, ZenohClient, eventually};
 
 /// A client that stops reading, with its buffers filled by a flood of other messages.
 async fn stalled(endpoint: &str) -> (ZenohClient, std::sync::mpsc::Sender<()>) {
@@ -55,11 +55,22 @@ async fn others_get_publications_and_replies() {
 const PATIENT: &str = r#"{"transport": {"link": {"tx": {"batch_size": 1024, "queue": {
     "congestion_control": {"block": {"wait_before_close": 60000000}}}}}}}"#;
 
-/// Sends queries without reading the replies. Returns once the gateway has received them.
-async fn ask(stalled: &ZenohClient, key: &str, times: usize, other: &ZenohClient) {
+/// Starts such a gateway, and returns it with its Zenoh endpoint.
+async fn patient() -> (Gateway, String) {
+    let files = Directory::new();
+    let own = files.write("zenoh.json5", PATIENT);
+    let toml = files.write("gateway.toml", &format!("[zenoh]\nconfig = {own:?}\n"));
+    let listen = ["--zenoh-listen", "tcp/127.0.0.1:0#so_sndbuf=4096"];
+    let near = ["--name", "near", "--gripper", "g=sim://wsg50", "--config", &toml];
+    let near = Gateway::start(&[&near[..], &listen].concat()).await;
+    let endpoint = near.word_after("Zenoh: ").await;
+    (near, endpoint)
+}
+
+/// Sends queries without reading the replies, which have the same priority. Returns once the gateway has received them.
+async fn ask(stalled: &ZenohClient, key: &str, priority: Priority, times: usize, other: &ZenohClient) {
     for _ in 0..times {
-        // A reply has the priority of its query. The flood has filled the queue of this priority.
-        stalled.session.get(key).priority(Priority::DataHigh).callback(|_| ()).await.unwrap();
+        stalled.session.get(key).priority(priority).callback(|_| ()).await.unwrap();
     }
     let received = other.subscribe("all/sent").await;
     eventually("the last message of the client that reads nothing", async || {
@@ -71,19 +82,13 @@ async fn ask(stalled: &ZenohClient, key: &str, times: usize, other: &ZenohClient
 
 #[tokio::test(flavor = "multi_thread")]
 async fn others_can_stop_grippers_here_and_of_other_gateways() {
-    let files = Directory::new();
-    let own = files.write("zenoh.json5", PATIENT);
-    let toml = files.write("gateway.toml", &format!("[zenoh]\nconfig = {own:?}\n"));
-    let listen = ["--zenoh-listen", "tcp/127.0.0.1:0#so_sndbuf=4096"];
-    let near = ["--name", "near", "--gripper", "g=sim://wsg50", "--config", &toml];
-    let near = Gateway::start(&[&near[..], &listen].concat()).await;
-    let endpoint = near.word_after("Zenoh: ").await;
+    let (near, endpoint) = patient().await;
     let far = fleet::gateway("far", &endpoint, 1, &[]).await;
     fleet::until_whole(&near, 2).await;
     let client = ZenohClient::at(&endpoint).await;
     let (stalled, _resume) = stalled(&endpoint).await;
 
-    ask(&stalled, "wsg/v1/near/g/command/fast-stop", 200, &client).await;
+    ask(&stalled, "wsg/v1/near/g/command/fast-stop", Priority::RealTime, 200, &client).await;
     near.until("the gripper stops", |state| state["fast_stop_confirmed"] == true).await;
     eventually("the FAST STOP of another client", async || {
         client.session.get("wsg/v1/near/g/command/fast-stop?client=robot").callback(|_| ()).await.unwrap();
@@ -93,11 +98,27 @@ async fn others_can_stop_grippers_here_and_of_other_gateways() {
     .await;
 
     // More than Tokio has threads for work that can block.
-    ask(&stalled, "wsg/v1/near/g/state", 1000, &client).await;
+    ask(&stalled, "wsg/v1/near/g/state", Priority::DataHigh, 1000, &client).await;
     near.post("/api/v1/fleet/fast-stop", &json!({})).await;
     eventually("the gripper of the other gateway stops", async || {
         let state = far.get("/api/v1/grippers/g0/state").await.ok();
         (state["fast_stop_confirmed"] == true).then_some(())
     })
     .await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn websockets_are_served_while_publications_wait() {
+    let (near, endpoint) = patient().await;
+    near.until_link("connected").await;
+    let client = ZenohClient::at(&endpoint).await;
+    let (stalled, _resume) = stalled(&endpoint).await;
+    let mut socket = Socket::open(&near).await;
+    // States have the same priority.
+    ask(&stalled, "wsg/v1/near/g/info", Priority::Data, 100, &client).await;
+    for direction in ["outer", "inner", "outer"] {
+        near.post("home", &json!({"direction": direction})).await.outcome("SUCCESS");
+        let state = socket.call("state", json!({"gripper": "g"})).await;
+        assert_eq!(state["referenced"], true, "{state}");
+    }
 }
