@@ -7,9 +7,12 @@ use crate::config::{Config, DeviceSource, WsgAddress};
 use crate::interfaces::Bounds;
 use crate::interfaces::wsg_port;
 
-/// The gateway itself: five runtimes (20), the listener, standard input and output, the journal with its readers (8),
+/// The gateway itself: five runtimes with sockets (20), the listener, standard input and output, the journal with its readers (8),
 /// and some to spare.
 const OWN: usize = 34;
+
+/// A webhook: its connection, and that of a test.
+const OF_A_WEBHOOK: usize = 2;
 
 /// A gripper's link, and the link that replaces it. A simulated gripper has none.
 const OF_A_LINK: usize = 2;
@@ -101,7 +104,7 @@ fn needs(config: &Config) -> (usize, usize) {
     let zenoh = if config.zenoh.is_some() { OF_ZENOH } else { 0 };
     let links = config.grippers.iter().filter(|gripper| matches!(gripper.device, DeviceSource::At(_))).count();
     let mdns = if config.mdns { OF_MDNS } else { 0 };
-    (OWN + OF_A_LINK * links + zenoh + mdns, ports)
+    (OWN + OF_A_LINK * links + OF_A_WEBHOOK * config.webhooks.len() + zenoh + mdns, ports)
 }
 
 #[cfg(test)]

@@ -33,7 +33,13 @@ impl Owned {
             sockets: single("sockets").event_interval(EVENT_INTERVAL).build()?,
             // Updates for a thousand observers must not delay a request.
             observers: single("observers").on_thread_start(yield_to_others).build()?,
-            publications: single("publications").on_thread_start(yield_to_others).build()?,
+            // Zenoh has sockets of its own, so this runtime needs no descriptors for any.
+            publications: Builder::new_multi_thread()
+                .worker_threads(1)
+                .thread_name("publications")
+                .enable_time()
+                .on_thread_start(yield_to_others)
+                .build()?,
         })
     }
 
