@@ -372,6 +372,7 @@ fn grippers(flags: &Flags, file: Option<&File>, insecure: bool) -> Result<Vec<Gr
             return Err(ConfigError::at(&gripper.place, detail));
         }
     }
+    wsg_port::check_addresses(&configured)?;
     share_lines(&mut configured);
     Ok(configured)
 }

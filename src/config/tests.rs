@@ -232,6 +232,15 @@ fn wsg_port_error_names_remedy() {
     assert!(mistake("left=udp://127.0.0.1:1500?local_port=1").contains("reply_port"));
     assert!(mistake("left=udp://127.0.0.1?lost_after_ms=1").contains("a number from 100 to 60000"));
     assert!(mistake("middle=127.0.0.1:1000").contains("the grippers are: left, right"));
+    let ports = |left: &str, right: &str| {
+        let wsg_ports = vec![format!("left={left}"), format!("right={right}")];
+        Config::load(&Flags { wsg_ports, ..flags() }).map_err(|error| error.to_string())
+    };
+    assert!(
+        ports("127.0.0.1:1000", "127.0.0.1:1000").unwrap_err().contains("already the address of a WSG port of left")
+    );
+    assert!(ports("127.0.0.1:1000", "udp://127.0.0.1:1000").is_ok());
+    assert!(ports("127.0.0.1:0", "127.0.0.1:0").is_ok());
 }
 
 #[test]

@@ -9,6 +9,7 @@ use serde::Deserialize;
 use url::Url;
 
 use super::{ConfigError, ConfigPlace, File, GripperConfig, GripperContent};
+use crate::gripper::model::Name;
 use crate::transport::Options;
 
 /// TCP port that devices listen on (field practice).
@@ -46,6 +47,37 @@ impl Default for WsgPort {
             acknowledge: AcknowledgePolicy::default(),
             checksum_evaluation: true,
         }
+    }
+}
+
+/// Checks that each address serves one gripper. Otherwise a reload could leave a client with the wrong one.
+pub(super) fn check_addresses(grippers: &[GripperConfig]) -> Result<(), ConfigError> {
+    let mut served: Vec<(WsgAddress, &Name)> = Vec::new();
+    for gripper in grippers {
+        for (address, place) in &gripper.wsg_port.addresses {
+            if let Some((_, other)) = served.iter().find(|(other, _)| other.is_same_socket(address)) {
+                let detail = format!(
+                    "{} is already the address of a WSG port of {other}: give each WSG port its own address",
+                    address.socket()
+                );
+                return Err(ConfigError::at(place, detail));
+            }
+            served.push((*address, &gripper.name));
+        }
+    }
+    Ok(())
+}
+
+impl WsgAddress {
+    fn socket(&self) -> SocketAddr {
+        let (Self::Tcp(address) | Self::Udp { address, .. }) = self;
+        *address
+    }
+
+    /// Whether both need the same socket. With port 0, the system chooses a free one for each.
+    fn is_same_socket(&self, other: &Self) -> bool {
+        let are_of_one_kind = matches!(self, Self::Tcp(_)) == matches!(other, Self::Tcp(_));
+        are_of_one_kind && self.socket() == other.socket() && self.socket().port() != 0
     }
 }
 
@@ -114,7 +146,7 @@ impl WsgPort {
     /// their addresses, or with `--insecure`.
     pub(super) fn check(&self, may_be_exposed: bool) -> Result<(), ConfigError> {
         for (address, place) in &self.addresses {
-            let (WsgAddress::Tcp(address) | WsgAddress::Udp { address, .. }) = address;
+            let address = address.socket();
             if !address.ip().is_loopback() && self.allow.is_empty() && !may_be_exposed {
                 let detail = format!(
                     "{address} is not a loopback address, and the WSG protocol has no credentials: any client that \
