@@ -33,11 +33,14 @@ struct RunningGripper {
 }
 
 /// The difference between two configurations of grippers.
+#[derive(Default)]
 pub(super) struct GripperDifferences {
     pub(super) added: Vec<Name>,
     pub(super) removed: Vec<Name>,
     /// Grippers with another configuration, or with other settings of all grippers.
     pub(super) changed: Vec<Name>,
+    /// Those of `changed` whose WSG ports have to end, because their clients depend on what has changed.
+    pub(super) ending_ports: Vec<Name>,
     /// New devices of added and changed grippers.
     connectors: BTreeMap<Name, Arc<dyn Connector>>,
 }
@@ -63,8 +66,7 @@ impl RunningGrippers {
     /// Compares two configurations, and prepares the devices of the new one.
     pub(super) fn compare(before: &Config, after: &Config) -> Result<GripperDifferences, ConfigError> {
         let find = |config: &Config, name: &Name| config.grippers.iter().find(|gripper| gripper.name == *name).cloned();
-        let mut changes =
-            GripperDifferences { added: vec![], removed: vec![], changed: vec![], connectors: BTreeMap::new() };
+        let mut changes = GripperDifferences::default();
         let is_gone = |gripper: &&GripperConfig| find(after, &gripper.name).is_none();
         changes.removed = before.grippers.iter().filter(is_gone).map(|gripper| gripper.name.clone()).collect();
         let of_all = |config: &Config| (config.drain, config.journal.on_failure);
@@ -73,6 +75,9 @@ impl RunningGrippers {
             let old = find(before, &name);
             if old.as_ref().is_none_or(|old| old.device != gripper.device) {
                 changes.connectors.insert(name.clone(), connector(gripper)?);
+            }
+            if old.as_ref().is_some_and(|old| ends_ports(old, gripper)) {
+                changes.ending_ports.push(name.clone());
             }
             match old {
                 None => changes.added.push(name),
@@ -143,6 +148,14 @@ impl RunningGrippers {
 fn is_same(before: &GripperConfig, after: &GripperConfig) -> bool {
     let (wsg_port, place) = (after.wsg_port.clone(), after.place.clone());
     GripperConfig { wsg_port, place, ..before.clone() } == *after
+}
+
+/// Whether what the clients of its WSG ports depend on differs: the device, and what a port copies for each client.
+fn ends_ports(before: &GripperConfig, after: &GripperConfig) -> bool {
+    let of_clients = |gripper: &GripperConfig| {
+        (gripper.device.clone(), gripper.updates, gripper.custom_ids.clone(), gripper.fast_stop_on_disconnect)
+    };
+    of_clients(before) != of_clients(after)
 }
 
 fn connector(gripper: &GripperConfig) -> Result<Arc<dyn Connector>, ConfigError> {

@@ -147,7 +147,7 @@ impl Ports {
     }
 
     /// Ends the ports that the new configuration does not have, or has with other rules. Their clients lose their
-    /// connections; ports of these grippers end too.
+    /// connections; ports of these grippers end too. A client that is moving a gripper counts as lost.
     pub(super) async fn end_changed(&mut self, changes: &PortChanges, grippers: &[Name]) -> Vec<BoundPort> {
         let is_kept = |port: &ServedPort| {
             changes.configured.contains(&port.configured) && !grippers.contains(&port.configured.gripper)

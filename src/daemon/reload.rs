@@ -167,7 +167,7 @@ impl Reloader {
         if let Some(listener) = listener {
             self.listener.send_replace(Arc::new(listener));
         }
-        let affected: Vec<Name> = [&grippers.removed, &grippers.changed].into_iter().flatten().cloned().collect();
+        let affected: Vec<Name> = [&grippers.removed, &grippers.ending_ports].into_iter().flatten().cloned().collect();
         // The ports take FAST STOPs until the grippers are released.
         self.grippers.apply(&config, grippers, &recovered).await?;
         let free = self.ports.end_changed(&ports, &affected).await;

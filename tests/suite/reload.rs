@@ -7,7 +7,7 @@ use rand::rngs::StdRng;
 use rand::{RngExt as _, SeedableRng as _};
 use serde_json::{Value, json};
 
-use crate::harness::wsg::Driver;
+use crate::harness::wsg::{Driver, PENDING, move_to};
 use crate::harness::{Gateway, Simulator, Socket, eventually, run};
 
 /// A gateway and its configuration file.
@@ -237,6 +237,25 @@ async fn client_that_is_no_longer_named_loses_its_rights() {
     one.gateway.until_logged("configuration reloaded").await;
     assert_eq!(driver.status(0x20, &[0]).await, 16, "E_ACCESS_DENIED");
     assert_eq!(driver.status(0x23, &[]).await, 0, "a FAST STOP needs no role");
+}
+
+#[tokio::test]
+async fn reload_of_other_settings_stops_no_client_of_a_wsg_port() {
+    let toml = |drain_ms: u32, rest: &str| {
+        format!("drain_ms = {drain_ms}\n{}", gripper("g", &format!("wsg_port = \"127.0.0.1:0\"\n{rest}")))
+    };
+    let one = Configured::start(&toml(2000, "")).await;
+    let address = one.gateway.word_after("WSG port of g: tcp://").await.parse().unwrap();
+    one.gateway.until_link("connected").await;
+    one.gateway.post("home", &json!({})).await.outcome("SUCCESS");
+    let mut driver = Driver::connect(address).await;
+    assert_eq!(driver.status(0x21, &move_to(5.0, 20.0)).await, PENDING);
+    one.gateway.until_moving().await;
+    assert_eq!(one.reload(&toml(3000, "")).await, json!(["gripper g: changed"]));
+    assert_eq!(one.reload(&toml(3000, "lease_max_ttl_ms = 50000")).await, json!(["gripper g: changed"]));
+    assert_eq!(driver.end_of(0x21).await, 0);
+    assert_eq!(one.gateway.state().await["fast_stop"], false);
+    driver.leave().await;
 }
 
 #[tokio::test]
