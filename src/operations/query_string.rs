@@ -40,14 +40,20 @@ impl QueryString {
 
     /// Returns all parameters as the fields of an object.
     pub fn all(&self) -> Result<Map<String, Value>, Problem> {
-        self.fields(&self.0.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>())
+        let mut all = Map::new();
+        for (name, value) in &self.0 {
+            if all.insert(name.clone(), value.as_str().into()).is_some() {
+                return Err(repeated(name));
+            }
+        }
+        Ok(all)
     }
 
     pub fn one(&self, name: &str) -> Result<Option<&str>, Problem> {
         let mut given = self.0.iter().filter(|(key, _)| key == name).map(|(_, value)| value.as_str());
         match (given.next(), given.next()) {
             (one, None) => Ok(one),
-            _ => Err(Problem::malformed(name, format!("{name} is given more than once"))),
+            _ => Err(repeated(name)),
         }
     }
 
@@ -78,6 +84,11 @@ impl QueryString {
     }
 }
 
+fn repeated(name: &str) -> Problem {
+    let name = shortened(name);
+    Problem::malformed(&name, format!("{name} is given more than once"))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -91,6 +102,8 @@ mod tests {
         let unknown = parameters("griper=left").only(&["gripper"]).unwrap_err();
         assert_eq!(serde_json::to_value(unknown.members()).unwrap()["field"], "griper");
         assert!(parameters("kind=a&kind=b").one("kind").is_err());
+        assert!(parameters("kind=a&from=b&kind=c").all().is_err());
+        assert_eq!(parameters("kind=a&from=b").all().unwrap().len(), 2);
         assert_eq!(parameters("gripper=left").only(&["gripper"]).unwrap().one("gripper").unwrap(), Some("left"));
     }
 

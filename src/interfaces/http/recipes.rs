@@ -15,7 +15,7 @@ use super::operation::{RequestBody, serve_below};
 use super::paths::responses::{JournalProblem, RecipeProblem};
 use crate::gripper::model::Recipe;
 use crate::journal::csv::{original, table};
-use crate::operations::recipes::{RecipeList, SET_SEVERAL};
+use crate::operations::recipes::{MAX_RECIPES, RecipeList, SET_SEVERAL};
 use crate::operations::values::shortened;
 use crate::operations::{Fields, Problem};
 
@@ -111,6 +111,10 @@ fn parse(table: &[u8]) -> Result<Vec<Map<String, Value>>, Problem> {
         let mut fields = given.map(|(column, cell)| field(column, cell, line)).collect::<Result<Map<_, _>, _>>()?;
         let Some(gripper) = fields.remove(GRIPPER) else {
             recipes.push(fields);
+            if recipes.len() > MAX_RECIPES {
+                let detail = format!("line {line}: a table can have at most {MAX_RECIPES} recipes");
+                return Err(Problem::malformed("body", detail));
+            }
             continue;
         };
         let part_id = fields.remove(PART_ID);
@@ -178,6 +182,7 @@ mod tests {
         let refused = |table: &str| serde_json::to_value(parse(table.as_bytes()).unwrap_err().members()).unwrap();
         assert_eq!(refused("part_id,with_mm\nA,20\n")["field"], "with_mm");
         assert_eq!(refused("part_id,number,gripper\nA,,right\n")["field"], "part_id");
+        assert_eq!(refused(&format!("part_id,number\n{}", "A,1\n".repeat(MAX_RECIPES + 1)))["field"], "body");
         let comma = refused("part_id,number,width_mm\nA,1,\"20,5\"\n");
         assert_eq!((&comma["field"], &comma["value"]), (&json!("width_mm"), &json!("20,5")));
         assert_eq!(refused("part_id,part_id\nA,B\n")["field"], "part_id");
