@@ -32,7 +32,9 @@ impl RequestedRecipe {
         part_id: Option<TextOrNumber>,
         is_complete: bool,
     ) -> Result<Self, Problem> {
-        let part_id = part_id.map(|given| text("part_id", &given.to_string())).transpose()?;
+        // Blocks with fixed fields send an empty one.
+        let part_id = part_id.map(|given| given.to_string()).filter(|given| !given.is_empty());
+        let part_id = part_id.map(|given| text("part_id", &given)).transpose()?;
         let recipes = &call.gateway.recipes;
         let number = number.map(|number| integer("recipe", number, 0..=u64::from(u8::MAX))).transpose()?;
         let recipe = match number {
