@@ -66,6 +66,12 @@ impl AlarmList {
         self.0.values().map(|entry| entry.alarm.clone()).collect()
     }
 
+    /// Gateways that are listed as gone.
+    pub(super) fn gone_gateways(&self) -> impl Iterator<Item = &AlarmKey> {
+        let active = self.0.iter().filter(|(_, entry)| entry.alarm.ended_at.is_none());
+        active.map(|(key, _)| key).filter(|key| key.alarm == AlarmKind::GatewayGone)
+    }
+
     /// Compares the list with the present conditions, and returns what has changed.
     pub(super) fn look(&mut self, now: Now, conditions: &Conditions) -> Vec<AlarmChange> {
         let mut changes = Vec::new();

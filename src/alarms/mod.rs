@@ -19,7 +19,7 @@ use tokio::time::{MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
 use utoipa::ToSchema;
 
-use crate::fleet::Peers;
+use crate::fleet::{KEPT_FOR, Peers};
 use crate::gripper::model::{
     Alarm, AlarmCause, AlarmEvent, AlarmId, AlarmKind, AlarmStep, Client, ClientLabel, Detail, Event, FastStopId, Name,
     PersistedKey, PersistedState,
@@ -82,6 +82,8 @@ impl Alarms {
             }
             // The gateway had another name in that run.
             if state.gripper != gateway {
+                let renamed = PersistedState { gripper: gateway.clone(), ..state.clone() };
+                journal.record(Record::Persisted(renamed));
                 journal.record(Record::Persisted(PersistedState { value: None, ..state.clone() }));
             }
         }
@@ -134,15 +136,16 @@ impl Alarms {
                 },
                 _ = ticks.tick() => {
                     let now = Now::read();
-                    let is_starting = now.instant.saturating_duration_since(started) < REACHED_WITHIN;
-                    self.look(now, &self.conditions(&grippers, &peers, &wear, is_starting));
+                    let running_for = now.instant.saturating_duration_since(started);
+                    self.look(now, &self.conditions(&grippers, &peers, &wear, running_for));
                 }
             }
         }
     }
 
-    fn conditions(&self, grippers: &Grippers, peers: &Peers, wear: &Wear, is_starting: bool) -> Conditions {
+    fn conditions(&self, grippers: &Grippers, peers: &Peers, wear: &Wear, running_for: Duration) -> Conditions {
         let mut conditions = Conditions::new();
+        let is_starting = running_for < REACHED_WITHIN;
         for gripper in grippers.all() {
             of_gripper(&gripper.state(), is_starting, &mut conditions);
             of_wear(gripper.name(), wear, &mut conditions);
@@ -158,8 +161,15 @@ impl Alarms {
         if let Some(damage) = &health.damage {
             add(AlarmKind::JournalDamaged, None, text(damage));
         }
-        for (gateway, _) in peers.gateways().into_iter().filter(|(_, is_gone)| *is_gone) {
-            add(AlarmKind::GatewayGone, Some(gateway), AlarmCause::default());
+        let gateways = peers.gateways();
+        for (gateway, _) in gateways.iter().filter(|(_, is_gone)| **is_gone) {
+            add(AlarmKind::GatewayGone, Some(gateway.clone()), AlarmCause::default());
+        }
+        // A gateway that was gone before this one started is not known to be back.
+        if running_for < KEPT_FOR {
+            let is_unknown = |key: &&AlarmKey| key.gateway.as_ref().is_some_and(|one| !gateways.contains_key(one));
+            let known = self.known();
+            conditions.extend(known.list.gone_gateways().filter(is_unknown).map(|key| (key.clone(), None)));
         }
         conditions
     }

@@ -216,8 +216,26 @@ async fn alarms_survive_a_restart() {
     journal.close().await.unwrap();
     // The gateway's name can change.
     let (journal, recovered) = Journal::open(place(), Retention::default()).unwrap();
-    let alarms = Alarms::new("cell-7".parse().unwrap(), journal, &recovered.memory).read().1.alarms;
+    let renamed = || "cell-7".parse().unwrap();
+    let alarms = Alarms::new(renamed(), journal.clone(), &recovered.memory).read().1.alarms;
     assert_eq!(alarms[0].acknowledged_by.as_deref(), Some("http:10.0.0.5"));
     assert_eq!(alarms[0].acknowledged_label, ClientLabel::new("Anna"));
+    journal.close().await.unwrap();
+    let (journal, recovered) = Journal::open(place(), Retention::default()).unwrap();
+    assert_eq!(Alarms::new(renamed(), journal, &recovered.memory).read().1.alarms, alarms);
     std::fs::remove_dir_all(folder).unwrap();
+}
+
+#[tokio::test]
+async fn gateway_that_was_gone_before_a_restart_stays_gone() {
+    let (journal, _) = Journal::open(JournalLocation::Memory, Retention::default()).unwrap();
+    let alarms = Alarms::new("wsg".parse().unwrap(), journal.clone(), &[]);
+    let gateway = Some("cell-7".parse().unwrap());
+    let gone = AlarmKey { alarm: AlarmKind::GatewayGone, gripper: None, gateway, part_id: None };
+    alarms.look(Now::read(), &[(gone.clone(), Some(AlarmCause::default()))].into());
+    let grippers = Grippers::new([]);
+    let peers = Peers::new("wsg".parse().unwrap(), grippers.clone(), None);
+    let wear = Wear::new(journal, None, &[]);
+    let after = |running_for| alarms.conditions(&grippers, &peers, &wear, running_for).get(&gone).cloned();
+    assert_eq!((after(Duration::ZERO), after(KEPT_FOR)), (Some(None), None));
 }

@@ -30,7 +30,7 @@ use crate::gripper::model::{Client, FastStopId, Name, Reason, State};
 use crate::gripper::{Grippers, Now};
 
 pub use ask::{EVENTS, GRIPS, NoAnswer, PeerRequest, PeerResponse, READINESS, TOKEN};
-pub use others::{MAX_URL_BYTES, parse_dashboard};
+pub use others::{KEPT_FOR, MAX_URL_BYTES, parse_dashboard};
 pub use report::FleetGripper;
 
 /// Maximum number of concurrent requests to other gateways. The limit applies separately to stops, to lease requests,

@@ -34,7 +34,7 @@ const MAX_INSTANCE_BYTES: usize = 32;
 const GONE_AFTER: Duration = Duration::from_millis(1900);
 
 /// Time for which a gripper is still listed after its gateway is gone.
-const KEPT_FOR: Duration = Duration::from_hours(1);
+pub const KEPT_FOR: Duration = Duration::from_hours(1);
 
 /// The last report on a gripper, and its time.
 #[derive(Debug)]
