@@ -4,6 +4,7 @@ mod commands;
 mod fleet;
 mod leases;
 mod names;
+mod outages;
 mod publications;
 mod recipes;
 pub mod router;
