@@ -11,16 +11,12 @@ use crate::harness::eventually;
 #[tokio::test(flavor = "multi_thread")]
 async fn fleet_fast_stop_without_a_network_is_sent_to_gateways_that_appear() {
     let endpoint = Router::start().kill().await;
-    let [near, far] = ["near", "far"].map(|name| gateway(name, &endpoint, 1, &[]));
-    let (near, far) = tokio::join!(near, far);
+    let g = ["g=sim://wsg50".to_owned()];
+    let (near, far) = tokio::join!(gateway("near", &endpoint, 1, &[]), gateway("far", &endpoint, 0, &g));
     let stopped = near.post("/api/v1/fleet/fast-stop", &json!({"reason": "light curtain"})).await.ok();
     assert_eq!((&stopped["fast_stop_confirmed"], &stopped["unconfirmed"]), (&json!(false), &json!([])), "{stopped}");
     let _router = Router::at(endpoint);
-    let state = eventually("the gripper of the other gateway is stopped", async || {
-        let state = far.get("/api/v1/grippers/g0/state").await.ok();
-        (state["fast_stop_confirmed"] == true).then_some(state)
-    })
-    .await;
+    let state = far.until("the gripper is stopped", |state| state["fast_stop_confirmed"] == true).await;
     assert_eq!(state["fast_stop_reason"], "light curtain");
     until_whole(&near, 2).await;
     let stopped = near.post("/api/v1/fleet/fast-stop", &json!({})).await.ok();

@@ -83,7 +83,7 @@ async fn ask(stalled: &ZenohClient, key: &str, priority: Priority, times: usize,
 #[tokio::test(flavor = "multi_thread")]
 async fn others_can_stop_grippers_here_and_of_other_gateways() {
     let (near, endpoint) = patient().await;
-    let far = fleet::gateway("far", &endpoint, 1, &[]).await;
+    let far = fleet::gateway("far", &endpoint, 0, &["g=sim://wsg50".to_owned()]).await;
     fleet::until_whole(&near, 2).await;
     let client = ZenohClient::at(&endpoint).await;
     let (stalled, _resume) = stalled(&endpoint).await;
@@ -100,11 +100,7 @@ async fn others_can_stop_grippers_here_and_of_other_gateways() {
     // More than Tokio has threads for work that can block.
     ask(&stalled, "wsg/v1/near/g/state", Priority::DataHigh, 1000, &client).await;
     near.post("/api/v1/fleet/fast-stop", &json!({})).await;
-    eventually("the gripper of the other gateway stops", async || {
-        let state = far.get("/api/v1/grippers/g0/state").await.ok();
-        (state["fast_stop_confirmed"] == true).then_some(())
-    })
-    .await;
+    far.until("the gripper of the other gateway stops", |state| state["fast_stop_confirmed"] == true).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
