@@ -66,7 +66,7 @@ impl AlarmList {
         self.0.values().map(|entry| entry.alarm.clone()).collect()
     }
 
-    /// Gateways that are listed as gone.
+    /// Keys of the active alarms of gateways that are gone.
     pub(super) fn gone_gateways(&self) -> impl Iterator<Item = &AlarmKey> {
         let active = self.0.iter().filter(|(_, entry)| entry.alarm.ended_at.is_none());
         active.map(|(key, _)| key).filter(|key| key.alarm == AlarmKind::GatewayGone)

@@ -68,19 +68,6 @@ pub(super) fn check_addresses(grippers: &[GripperConfig]) -> Result<(), ConfigEr
     Ok(())
 }
 
-impl WsgAddress {
-    fn socket(&self) -> SocketAddr {
-        let (Self::Tcp(address) | Self::Udp { address, .. }) = self;
-        *address
-    }
-
-    /// Whether both need the same socket. With port 0, the system chooses a free one for each.
-    fn is_same_socket(&self, other: &Self) -> bool {
-        let are_of_one_kind = matches!(self, Self::Tcp(_)) == matches!(other, Self::Tcp(_));
-        are_of_one_kind && self.socket() == other.socket() && self.socket().port() != 0
-    }
-}
-
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum WsgAddress {
     Tcp(SocketAddr),
@@ -92,6 +79,19 @@ pub enum WsgAddress {
         /// Silence after which a client is lost, if configured.
         lost_after: Option<Duration>,
     },
+}
+
+impl WsgAddress {
+    fn socket(&self) -> SocketAddr {
+        let (Self::Tcp(address) | Self::Udp { address, .. }) = self;
+        *address
+    }
+
+    /// Whether both need the same socket. With port 0, the system chooses a free one for each.
+    fn is_same_socket(&self, other: &Self) -> bool {
+        let are_of_one_kind = matches!(self, Self::Tcp(_)) == matches!(other, Self::Tcp(_));
+        are_of_one_kind && self.socket() == other.socket() && self.socket().port() != 0
+    }
 }
 
 /// FAST STOPs that a client may acknowledge with 24h.

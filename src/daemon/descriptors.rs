@@ -7,8 +7,8 @@ use crate::config::{Config, DeviceSource, WsgAddress};
 use crate::interfaces::Bounds;
 use crate::interfaces::wsg_port;
 
-/// The gateway itself: five runtimes with sockets (20), the listener, standard input and output, the journal with its readers (8),
-/// and some to spare.
+/// The gateway itself: five runtimes with sockets (20), the listener, standard input and output, the journal with its
+/// readers (8), and some to spare.
 const OWN: usize = 34;
 
 /// A webhook: its connection, and that of a test.

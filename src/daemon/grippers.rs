@@ -76,12 +76,14 @@ impl RunningGrippers {
             if old.as_ref().is_none_or(|old| old.device != gripper.device) {
                 changes.connectors.insert(name.clone(), connector(gripper)?);
             }
-            if old.as_ref().is_some_and(|old| ends_ports(old, gripper)) {
-                changes.ending_ports.push(name.clone());
-            }
             match old {
                 None => changes.added.push(name),
-                Some(old) if !is_same(&old, gripper) || of_all(before) != of_all(after) => changes.changed.push(name),
+                Some(old) if !is_same(&old, gripper) || of_all(before) != of_all(after) => {
+                    if ends_ports(&old, gripper) {
+                        changes.ending_ports.push(name.clone());
+                    }
+                    changes.changed.push(name);
+                }
                 Some(_) => {}
             }
         }

@@ -34,12 +34,7 @@ impl Owned {
             // Updates for a thousand observers must not delay a request.
             observers: single("observers").on_thread_start(yield_to_others).build()?,
             // Zenoh has sockets of its own, so this runtime needs no descriptors for any.
-            publications: Builder::new_multi_thread()
-                .worker_threads(1)
-                .thread_name("publications")
-                .enable_time()
-                .on_thread_start(yield_to_others)
-                .build()?,
+            publications: thread("publications").enable_time().on_thread_start(yield_to_others).build()?,
         })
     }
 
@@ -61,8 +56,15 @@ impl Owned {
 }
 
 fn single(name: &str) -> Builder {
+    let mut builder = thread(name);
+    builder.enable_all();
+    builder
+}
+
+/// A runtime of one thread, without timers and sockets yet.
+fn thread(name: &str) -> Builder {
     let mut builder = Builder::new_multi_thread();
-    builder.worker_threads(1).thread_name(name).enable_all();
+    builder.worker_threads(1).thread_name(name);
     builder
 }
 

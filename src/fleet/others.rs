@@ -208,7 +208,8 @@ impl Others {
 
     /// Whether a gateway that is alive has not reported its grippers yet.
     pub(super) fn has_unreported(&self) -> bool {
-        self.alive.iter().any(|gateway| !self.grippers.keys().any(|(owner, _)| owner == gateway))
+        let reported: BTreeSet<_> = self.grippers.keys().map(|(owner, _)| owner).collect();
+        self.alive.iter().any(|gateway| !reported.contains(gateway))
     }
 
     /// State of each gripper's FAST STOP since `begun`. Grippers of gone gateways are included: they could still move.
