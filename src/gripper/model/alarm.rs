@@ -202,7 +202,7 @@ impl AlarmEvent {
 /// - `raised`: the condition began
 /// - `ended`: the condition ended
 /// - `acknowledged`: a client acknowledged the alarm
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum AlarmStep {
     Raised,

@@ -5,7 +5,8 @@
 //! allows, but at least a second later. No request is refused here, and no count is lost.
 //!
 //! A motion's two records are exempt, because every motion has to be recorded; the device bounds their rate. Events
-//! that no client causes are exempt too: those of the gateway, the link and the device.
+//! that no client causes are exempt too: those of the gateway, the link and the device. A gripper's alarms are not:
+//! each FAST STOP raises one.
 
 use std::collections::hash_map::Entry;
 use std::collections::{HashMap, HashSet};
@@ -16,8 +17,8 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use crate::gripper::model::{
-    CommandEvent, CommandId, Detail, DeviceEvent, Door, Event, FastStopEvent, FastStopStep, Kind, LeaseStep, Name,
-    RefusedEvent, SettingChange,
+    AlarmKind, AlarmStep, CommandEvent, CommandId, Detail, DeviceEvent, Door, Event, FastStopEvent, FastStopStep, Kind,
+    LeaseStep, Name, RefusedEvent, SettingChange,
 };
 
 /// Initial and maximum bytes of an account: some 1,700 records. A PLC that changes a setting in each 10 ms cycle is
@@ -48,7 +49,7 @@ const MAX_OPEN_STOPS: usize = 1024;
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 struct Account {
     payer: Payer,
-    /// FAST STOPs and acknowledgements have an account of their own, so that other records cannot use it up.
+    /// FAST STOPs, acknowledgements and alarms have an account of their own, so that other records cannot use it up.
     is_fast_stop: bool,
 }
 
@@ -59,7 +60,7 @@ enum Payer {
     Address(IpAddr),
     /// All clients of an interface that knows only names of the clients' own choice.
     Interface(Door),
-    /// Events of FAST STOPs that the device shows, whichever client caused them.
+    /// Alarms, and events of FAST STOPs that the device shows, whichever client caused them.
     Gripper(Name),
     /// Clients beyond [`MAX_ACCOUNTS`].
     Others,
@@ -67,7 +68,7 @@ enum Payer {
 
 impl Account {
     fn of(event: &Event) -> Option<Self> {
-        let is_fast_stop = matches!(event.detail, Detail::FastStop(_) | Detail::Acknowledge(_));
+        let is_fast_stop = matches!(event.detail, Detail::FastStop(_) | Detail::Acknowledge(_) | Detail::Alarm(_));
         let payer = match (&event.subject, event.door, &event.gripper) {
             (Some(subject), Some(door), _) => Payer::of(subject, door),
             (_, _, Some(gripper)) if is_fast_stop => Payer::Gripper(gripper.clone()),
@@ -101,6 +102,7 @@ enum Mergeable {
     Setting(Discriminant<SettingChange>),
     Device(Discriminant<DeviceEvent>),
     Refused(String),
+    Alarm(AlarmKind, AlarmStep),
     /// Kinds beyond [`MAX_MERGED`].
     Others,
 }
@@ -111,15 +113,14 @@ impl Mergeable {
             Detail::Command(CommandEvent::Admitted(admitted)) if admitted.command == Kind::Stop => Self::Stop,
             Detail::Command(CommandEvent::Done(done)) if done.command == Kind::Stop => Self::Stop,
             // Each change of a recipe waits for the disk, which limits its client.
-            Detail::Command(_) | Detail::Link(_) | Detail::Gateway(_) | Detail::Alarm(_) | Detail::Recipe(_) => {
-                return None;
-            }
+            Detail::Command(_) | Detail::Link(_) | Detail::Gateway(_) | Detail::Recipe(_) => return None,
             Detail::FastStop(event) => Self::FastStop(discriminant(&event.event)),
             Detail::Acknowledge(_) => Self::Acknowledge,
             Detail::Lease(event) => Self::Lease(discriminant(&event.event)),
             Detail::Settings(event) => Self::Setting(discriminant(&event.setting)),
             Detail::Device(event) => Self::Device(discriminant(event)),
             Detail::Refused(event) => Self::Refused(event.code.clone()),
+            Detail::Alarm(event) => Self::Alarm(event.alarm, event.event),
         })
     }
 }

@@ -4,7 +4,8 @@ use super::super::tests::{Directory, at, id, keep, name, started};
 use super::super::{Record, Recorder as _};
 use super::*;
 use crate::gripper::model::{
-    Admitted, Client, Done, FastStopCause, IdSource, Outcome, Parameters, RequestedValues, SettingsEvent,
+    Admitted, Alarm, AlarmCause, AlarmEvent, AlarmId, AlarmPriority, Client, Done, FastStopCause, IdSource, Outcome,
+    Parameters, RequestedValues, SettingsEvent,
 };
 
 /// Upper bound of an event's size in the tests, by which an account can be overdrawn.
@@ -200,6 +201,40 @@ fn fast_stop_is_recorded_beside_a_flood_of_its_address() {
     };
     let event = Event::new(at(1), Some(name("left")), Detail::FastStop(fast_stop)).by(&client);
     assert!(rates.take(now, event).is_some());
+}
+
+#[test]
+fn alarms_of_repeated_fast_stops_are_bounded_and_counted() {
+    let (rates, start) = (Rates::default(), Instant::now());
+    let alarm = |step, count: u32| {
+        let cause =
+            AlarmCause { fast_stop_id: Some(IdSource::new(count.into()).fast_stop_id(at(1))), ..AlarmCause::default() };
+        let alarm = Alarm {
+            id: AlarmId::generate(),
+            alarm: AlarmKind::FastStop,
+            priority: AlarmPriority::Critical,
+            gripper: Some(name("left")),
+            gateway: None,
+            cause,
+            began_at: at(1),
+            ended_at: None,
+            count: 1,
+            acknowledged_at: None,
+            acknowledged_by: None,
+            acknowledged_label: None,
+        };
+        Event::new(at(1), alarm.gripper.clone(), Detail::Alarm(Box::new(AlarmEvent::of(step, &alarm))))
+    };
+    let (written, made) =
+        hour(&rates, start, |number| vec![alarm(AlarmStep::Ended, number), alarm(AlarmStep::Raised, number + 1)]);
+    assert!(bytes(&written) <= BURST + REFILL_PER_S * 3600 + 2 * ONE, "{}", bytes(&written));
+    let counted: u64 = written.iter().map(|event| aggregated(event) + 1).sum();
+    assert_eq!(counted, made);
+    let newest = written.iter().rev().find_map(|event| match &event.detail {
+        Detail::Alarm(alarm) if alarm.event == AlarmStep::Raised => alarm.cause.fast_stop_id,
+        _ => None,
+    });
+    assert_eq!(newest, Some(IdSource::new(360_000).fast_stop_id(at(1))), "the alarm that is listed is recorded");
 }
 
 #[test]
