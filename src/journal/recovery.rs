@@ -2,14 +2,13 @@
 
 use std::collections::{BTreeMap, HashMap};
 
-use jiff::{SignedDuration, Timestamp};
+use jiff::SignedDuration;
 use rusqlite::{Connection, OptionalExtension};
 
 use super::chain::memory_hash;
 use super::commands::CommandBody;
 use super::identity::NO_GRIPPER;
-use super::query::{Cursor, EventQuery, Filter, Limit, Order, page};
-use super::row::{EventKind, now};
+use super::row::{milliseconds, now};
 use crate::gripper::model::{
     CommandEvent, CommandId, CommandReport, Detail, Done, Event, GatewayEvent, Outcome, PersistedState, Phase,
 };
@@ -18,9 +17,12 @@ use crate::gripper::recorder::PastRequest;
 /// Time for which a request id stands for its command.
 const REPLAYED_FOR: SignedDuration = SignedDuration::from_mins(10);
 
-/// Maximum number of recovered requests, the newest: more than ten minutes at 100 a second. After a clock was set back,
-/// the requests of a longer time look recent.
+/// Maximum number of recovered requests, the newest: more than ten minutes at 100 a second.
 const MAX_REQUESTS: usize = 65_536;
+
+/// Step back between two records that only a clock that was set back explains, in ms. Merged records come at most some
+/// seconds after their time.
+const SET_BACK_MS: i64 = 60_000;
 
 /// Data of earlier runs.
 #[derive(Debug, Default)]
@@ -46,7 +48,7 @@ pub(super) fn recover(connection: &Connection) -> rusqlite::Result<(Recovered, V
         let event = GatewayEvent::UncleanEnd { running: ids.clone() };
         events.push(Event::new(now(), None, Detail::Gateway(event)));
     }
-    let (memory, mut requests) = (memory(connection)?, requests(connection, now() - REPLAYED_FOR)?);
+    let (memory, mut requests) = (memory(connection)?, requests(connection)?);
     for request in requests.iter_mut().filter(|request| ids.contains(&request.command.id)) {
         request.command = unknown_command(request.command.clone());
     }
@@ -55,7 +57,7 @@ pub(super) fn recover(connection: &Connection) -> rusqlite::Result<(Recovered, V
 
 /// Reads the data of this run and of earlier ones, for grippers that are added while the gateway runs.
 pub(super) fn recall(connection: &Connection) -> rusqlite::Result<Recovered> {
-    let (memory, requests) = (memory(connection)?, requests(connection, now() - REPLAYED_FOR)?);
+    let (memory, requests) = (memory(connection)?, requests(connection)?);
     Ok(Recovered { memory, requests, ..Recovered::default() })
 }
 
@@ -117,22 +119,39 @@ fn memory(connection: &Connection) -> rusqlite::Result<Vec<PersistedState>> {
     Ok(persisted)
 }
 
-fn requests(connection: &Connection, since: Timestamp) -> rusqlite::Result<Vec<PastRequest>> {
-    let filter = Filter { kind: Some(EventKind::Command), ..Filter::default() };
-    let limit = Limit::default();
-    let mut query = EventQuery { filter, from: Some(since), order: Order::Oldest, limit, ..EventQuery::default() };
+fn requests(connection: &Connection) -> rusqlite::Result<Vec<PastRequest>> {
+    let mut statement =
+        connection.prepare("SELECT body FROM events WHERE kind = 'command' AND seq >= ? ORDER BY seq")?;
+    let mut rows = statement.query([first_recent(connection)?])?;
     let mut requests = Requests::default();
-    loop {
-        let page = page(connection, &query, i64::MAX)?;
-        for body in page.bodies.iter().filter_map(|body| parsed(body)) {
+    while let Some(row) = rows.next()? {
+        if let Some(body) = parsed(row.get_ref(0)?.as_str()?) {
             requests.take(body);
-        }
-        match page.next_cursor.and_then(|cursor| cursor.parse::<Cursor>().ok()) {
-            Some(cursor) => query.cursor = Some(cursor),
-            None => break,
         }
     }
     Ok(requests.in_order.into_values().collect())
+}
+
+/// Returns the sequence number of the first record within [`REPLAYED_FOR`]. A time in which the clock was set back
+/// counts as none.
+fn first_recent(connection: &Connection) -> rusqlite::Result<i64> {
+    let mut statement = connection.prepare("SELECT seq, at FROM events ORDER BY seq DESC")?;
+    let mut rows = statement.query([])?;
+    let (mut first, mut earliest, mut age_ms) = (i64::MAX, milliseconds(now()), 0);
+    while let Some(row) = rows.next()? {
+        let at: i64 = row.get(1)?;
+        if at > earliest + SET_BACK_MS {
+            earliest = at;
+        } else if at < earliest {
+            age_ms += earliest - at;
+            earliest = at;
+        }
+        if i128::from(age_ms) > REPLAYED_FOR.as_millis() {
+            break;
+        }
+        first = row.get(0)?;
+    }
+    Ok(first)
 }
 
 /// Requests in the order of their records. Their ids and times come from a wall clock, which can jump.

@@ -11,7 +11,7 @@ mod tests;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use jiff::Timestamp;
+use jiff::{SignedDuration, Timestamp};
 use serde::{Deserialize, Serialize};
 use tokio::sync::broadcast::Receiver;
 use tokio::sync::broadcast::error::RecvError;
@@ -36,6 +36,10 @@ const MAX_CHARTS: usize = 64;
 
 /// Number of missed records that are read at once.
 const CAUGHT_UP_AT_ONCE: u64 = 1000;
+
+/// Time within which a motion has its record: the slowest takes 42 s (210 mm at 5 mm/s). A record that seems older was
+/// written after the clock was set back.
+const RECORDED_WITHIN: SignedDuration = SignedDuration::from_mins(2);
 
 /// Wear of all grippers.
 #[derive(Debug)]
@@ -233,7 +237,8 @@ impl GripperWear {
             record;
         self.seq = seq;
         // The record of a grip appears a second after its end, when other fingers can be mounted.
-        if self.finger_set.as_ref().is_some_and(|set| started_at < set.mounted_at) {
+        let mounted_after = self.finger_set.as_ref().map(|set| set.mounted_at.duration_since(started_at));
+        if mounted_after.is_some_and(|time| time.is_positive() && time < RECORDED_WITHIN) {
             return;
         }
         if let Some(set) = &mut self.finger_set {

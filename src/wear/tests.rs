@@ -191,12 +191,17 @@ fn finger_set_counts_until_another_is_mounted() {
 #[test]
 fn grip_that_began_before_the_mount_is_not_counted() {
     let mut worn = Worn::with(DEFAULT_DRIFT_LIMITS);
-    let mut before = grip(20.0);
-    before["started_at"] = "2026-01-01T00:00:00Z".into();
-    worn.mount("F-2", false);
-    worn.take(&before);
-    assert_eq!(worn.wear.finger_set(&left()).unwrap().cycles, 0);
-    assert!(worn.wear.known().grippers[&left()].charts.is_empty());
+    let mounted = worn.mount("F-2", false);
+    let mut grip_before = |time: SignedDuration| {
+        let mut record = grip(20.0);
+        record["started_at"] = (mounted.mounted_at - time).to_string().into();
+        worn.take(&record);
+        let is_learned = !worn.wear.known().grippers[&left()].charts.is_empty();
+        (worn.wear.finger_set(&left()).unwrap().cycles, is_learned)
+    };
+    assert_eq!(grip_before(SignedDuration::from_secs(20)), (0, false));
+    // The clock was set back since.
+    assert_eq!(grip_before(SignedDuration::from_hours(5)), (1, true));
 }
 
 #[test]

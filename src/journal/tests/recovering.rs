@@ -105,6 +105,23 @@ async fn requests_keep_the_order_of_their_records_when_a_clock_is_set_back() {
 }
 
 #[tokio::test]
+async fn requests_of_hours_are_old_though_a_clock_was_set_back() {
+    let directory = Directory::new();
+    let (journal, _) = directory.open();
+    let now = Timestamp::now().as_millisecond();
+    // Records of ten hours, and one after the clock was set back by them.
+    for number in 0..60 {
+        record(&journal, admitted(now + i64::from(number) * 600_000, "left", number, None));
+    }
+    record(&journal, admitted(now - 1000, "left", 60, None));
+    journal.close().await.unwrap();
+    drop(journal);
+    let (_, recovered) = directory.open();
+    let ids: Vec<_> = recovered.requests.iter().map(|request| request.command.id).collect();
+    assert_eq!(ids, [id(59), id(60)]);
+}
+
+#[tokio::test]
 async fn requests_of_the_last_ten_minutes_stand_for_their_commands() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
