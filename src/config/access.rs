@@ -1,14 +1,14 @@
 //! Credentials in the configuration: the file of tokens, clients by address, and TLS.
 
-use std::net::{IpAddr, SocketAddr};
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use ipnet::IpNet;
 use serde::Deserialize;
 use toml::Spanned;
 
 use super::journal::bounded;
+use super::networks::parse_network;
 use super::{ConfigError, ConfigPlace, File, Flags, GripperConfig, Placed};
 use crate::access::{ClientMatch, FastStopPolicy, KnownClient, Role, Scope, SessionTimes};
 use crate::gripper::model::Name;
@@ -152,7 +152,7 @@ fn clients(file: &File) -> Result<Vec<KnownClient>, ConfigError> {
             |text: &Spanned<String>| text.get_ref().parse::<Name>().map_err(|error| ConfigError::at(&at(text), error));
         let matched_by = match (&client.address, &client.certificate) {
             (Some(address), None) => ClientMatch::Address(
-                network(address.get_ref()).map_err(|detail| ConfigError::at(&at(address), detail))?,
+                parse_network(address.get_ref()).map_err(|detail| ConfigError::at(&at(address), detail))?,
             ),
             (None, Some(certificate)) if file.content.tls.as_ref().is_some_and(|tls| tls.client_ca.is_some()) => {
                 ClientMatch::Certificate(certificate.clone())
@@ -172,19 +172,6 @@ fn clients(file: &File) -> Result<Vec<KnownClient>, ConfigError> {
         Ok(KnownClient { name: name(&client.name)?, matched_by, role: client.role, scope })
     };
     file.content.clients.iter().map(parse).collect()
-}
-
-fn network(text: &str) -> Result<IpNet, String> {
-    let network =
-        text.parse::<IpNet>().or_else(|_| text.parse::<IpAddr>().map(|address| address.to_canonical().into()));
-    // Clients have canonical addresses, so others would match nobody.
-    let network = network.map(|network| match network.addr().to_canonical() {
-        IpAddr::V4(address) if network.prefix_len() > 96 => {
-            IpNet::new(address.into(), network.prefix_len() - 96).unwrap_or(network)
-        }
-        _ => network,
-    });
-    network.map_err(|_| format!("{text:?} is not an address or a network: write 192.168.1.10 or 192.168.1.0/24"))
 }
 
 pub(super) fn tls(file: Option<&File>) -> Option<TlsConfig> {

@@ -30,9 +30,12 @@ fn credentials_are_needed_where_they_are_mentioned() {
 
 #[test]
 fn mapped_address_is_that_of_its_clients() {
-    for (text, expected) in
-        [("::ffff:127.0.0.9", "127.0.0.9/32"), ("::ffff:10.0.0.0/120", "10.0.0.0/24"), ("::1", "::1/128")]
-    {
+    for (text, expected) in [
+        ("::ffff:127.0.0.9", "127.0.0.9/32"),
+        ("::ffff:10.0.0.0/120", "10.0.0.0/24"),
+        ("::ffff:0:0/96", "0.0.0.0/0"),
+        ("::1", "::1/128"),
+    ] {
         let [client] = guarded(&format!("[[clients]]\nname = \"c\"\naddress = \"{text}\"\nrole = \"stop\""))
             .clients
             .try_into()
@@ -57,7 +60,12 @@ fn wrong_value_is_named_with_its_line() {
         ("[access]\nsession_idle_h = 0", "gateway.toml:2: session_idle_h is 0"),
         (
             "[[clients]]\nname = \"plc\"\naddress = \"plc\"\nrole = \"operator\"",
-            "gateway.toml:3: \"plc\" is not an addr",
+            "gateway.toml:3: \"plc\" is neither an addr",
+        ),
+        (
+            "[[clients]]\nname = \"plc\"\naddress = \"192.168.1.10/24\"\nrole = \"stop\"",
+            "gateway.toml:3: \"192.168.1.10/24\" is an address within a network: write 192.168.1.10 for it alone, or \
+             192.168.1.0/24",
         ),
         ("[[clients]]\nname = \"plc\"\naddress = \"::1\"\nrole = \"boss\"", "gateway.toml:4: unknown variant `boss`"),
         ("[access]\npin_idle_min = 500", "gateway.toml:2: pin_idle_min is 500"),

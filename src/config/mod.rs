@@ -28,6 +28,7 @@ mod file;
 pub(crate) mod fuzz;
 mod journal;
 mod modbus;
+mod networks;
 mod public_url;
 mod webhooks;
 mod wsg_port;

@@ -8,7 +8,7 @@ use std::time::Duration;
 use ipnet::IpNet;
 
 use super::journal::bounded;
-use super::wsg_port::parse_nets;
+use super::networks::parse_networks;
 use super::{Config, ConfigError, ConfigPlace, File, Flags, GripperConfig, GripperContent, parse_address};
 use crate::gripper::model::Name;
 
@@ -46,7 +46,7 @@ impl Modbus {
         };
         let address = parse_address(text, "192.168.1.5:502", &place)?;
         let allow = match file.and_then(|file| Some((file, file.content.modbus_allow.as_ref()?))) {
-            Some((file, texts)) => parse_nets("modbus_allow", texts.get_ref(), &file.place(texts.span().start))?,
+            Some((file, texts)) => parse_networks("modbus_allow", texts.get_ref(), &file.place(texts.span().start))?,
             None => Vec::new(),
         };
         let heartbeat_ms = content.and_then(|content| content.modbus_heartbeat_ms.as_ref());

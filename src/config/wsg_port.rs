@@ -8,6 +8,7 @@ use ipnet::IpNet;
 use serde::Deserialize;
 use url::Url;
 
+use super::networks::parse_networks;
 use super::{ConfigError, ConfigPlace, File, GripperConfig, GripperContent};
 use crate::gripper::model::Name;
 use crate::transport::Options;
@@ -123,7 +124,7 @@ impl WsgPort {
         };
         let addresses = texts.into_iter().map(|(text, place)| Ok((parse(text, &place)?, place)));
         let allow = match &gripper.wsg_port_allow {
-            Some(texts) => parse_nets("wsg_port_allow", texts.get_ref(), &file.place(texts.span().start))?,
+            Some(texts) => parse_networks("wsg_port_allow", texts.get_ref(), &file.place(texts.span().start))?,
             None => Vec::new(),
         };
         Ok(Self {
@@ -222,20 +223,4 @@ fn parse_address(text: &str) -> Result<WsgAddress, String> {
         }
         _ => Err(wrong()),
     }
-}
-
-/// Parses a list of networks.
-pub(super) fn parse_nets(key: &str, texts: &[String], place: &ConfigPlace) -> Result<Vec<IpNet>, ConfigError> {
-    if texts.is_empty() {
-        let detail = format!("{key} is empty: list the allowed networks, or remove it if the port is on loopback");
-        return Err(ConfigError::at(place, detail));
-    }
-    let parse = |text: &String| {
-        let one = || text.parse().map(|ip: std::net::IpAddr| IpNet::from(ip));
-        text.parse::<IpNet>().or_else(|_| one()).map_err(|_| {
-            let detail = format!("{text:?} is neither an address nor a network: write 192.168.1.7 or 192.168.1.0/24");
-            ConfigError::at(place, detail)
-        })
-    };
-    texts.iter().map(parse).collect()
 }

@@ -1,0 +1,35 @@
+//! Networks of clients in the configuration.
+
+use std::net::IpAddr;
+
+use ipnet::IpNet;
+
+use super::{ConfigError, ConfigPlace};
+
+/// Parses a list of allowed networks.
+pub(super) fn parse_networks(key: &str, texts: &[String], place: &ConfigPlace) -> Result<Vec<IpNet>, ConfigError> {
+    if texts.is_empty() {
+        let detail = format!("{key} is empty: list the allowed networks, or remove it if the port is on loopback");
+        return Err(ConfigError::at(place, detail));
+    }
+    texts.iter().map(|text| parse_network(text).map_err(|detail| ConfigError::at(place, detail))).collect()
+}
+
+/// Parses an address or a network, and returns it in canonical form, as clients' addresses are.
+pub(super) fn parse_network(text: &str) -> Result<IpNet, String> {
+    let network: IpNet = text
+        .parse()
+        .or_else(|_| text.parse::<IpAddr>().map(IpNet::from))
+        .map_err(|_| format!("{text:?} is neither an address nor a network: write 192.168.1.10 or 192.168.1.0/24"))?;
+    // Such a text is easily mistaken for one address.
+    if network.addr() != network.network() {
+        let (address, network) = (network.addr(), network.trunc());
+        return Err(format!("{text:?} is an address within a network: write {address} for it alone, or {network}"));
+    }
+    Ok(match network.addr().to_canonical() {
+        IpAddr::V4(address) if network.prefix_len() >= 96 => {
+            IpNet::new(address.into(), network.prefix_len() - 96).unwrap_or(network)
+        }
+        _ => network,
+    })
+}
