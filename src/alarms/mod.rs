@@ -9,9 +9,9 @@ mod list;
 #[cfg(test)]
 mod tests;
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 use tokio::sync::broadcast::error::RecvError;
@@ -21,8 +21,8 @@ use utoipa::ToSchema;
 
 use crate::fleet::{KEPT_FOR, Peers};
 use crate::gripper::model::{
-    Alarm, AlarmCause, AlarmEvent, AlarmId, AlarmKind, AlarmStep, Client, ClientLabel, Detail, Event, FastStopId, Name,
-    PersistedKey, PersistedState,
+    Alarm, AlarmCause, AlarmEvent, AlarmId, AlarmKind, AlarmStep, Client, ClientLabel, Detail, Event, FastStopId, Link,
+    Name, PersistedKey, PersistedState,
 };
 use crate::gripper::recorder::{Record, Recorder as _};
 use crate::gripper::{Grippers, Now};
@@ -34,7 +34,8 @@ use list::{AlarmChange, AlarmKey, AlarmList, Conditions};
 /// Interval at which conditions are checked. Faults last until a person acts, so none is missed.
 const CHECKED_EVERY: Duration = Duration::from_millis(100);
 
-/// Time after the start in which a device that is not reached raises no alarm.
+/// Time within which a device is reached at a start, or after its gripper was added or changed. Before, it raises no
+/// alarm.
 const REACHED_WITHIN: Duration = Duration::from_secs(3);
 
 /// The alarms of this gateway.
@@ -122,6 +123,7 @@ impl Alarms {
     ) {
         let mut events = self.journal.subscribe();
         let started = Now::read().instant;
+        let mut connecting = BTreeMap::new();
         let mut ticks = interval(CHECKED_EVERY);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
         loop {
@@ -136,20 +138,18 @@ impl Alarms {
                 },
                 _ = ticks.tick() => {
                     let now = Now::read();
+                    let mut conditions = Conditions::new();
+                    connecting = of_grippers(&grippers, &wear, now, &connecting, &mut conditions);
                     let running_for = now.instant.saturating_duration_since(started);
-                    self.look(now, &self.conditions(&grippers, &peers, &wear, running_for));
+                    self.add_of_gateway(&peers, running_for, &mut conditions);
+                    self.look(now, &conditions);
                 }
             }
         }
     }
 
-    fn conditions(&self, grippers: &Grippers, peers: &Peers, wear: &Wear, running_for: Duration) -> Conditions {
-        let mut conditions = Conditions::new();
-        let is_starting = running_for < REACHED_WITHIN;
-        for gripper in grippers.all() {
-            of_gripper(&gripper.state(), is_starting, &mut conditions);
-            of_wear(gripper.name(), wear, &mut conditions);
-        }
+    /// Adds the conditions of this gateway and of others.
+    fn add_of_gateway(&self, peers: &Peers, running_for: Duration, conditions: &mut Conditions) {
         let mut add = |alarm, gateway, cause| {
             conditions.insert(AlarmKey { alarm, gripper: None, gateway, part_id: None }, Some(cause));
         };
@@ -171,7 +171,6 @@ impl Alarms {
             let known = self.known();
             conditions.extend(known.list.gone_gateways().filter(is_unknown).map(|key| (key.clone(), None)));
         }
-        conditions
     }
 
     fn look(&self, now: Now, conditions: &Conditions) {
@@ -228,4 +227,25 @@ impl Alarms {
         // A panic under the lock leaves at most one change unrecorded.
         self.known.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+/// Adds the conditions of the grippers. Returns those that have not reached their devices, and since when.
+fn of_grippers(
+    grippers: &Grippers,
+    wear: &Wear,
+    now: Now,
+    connecting: &BTreeMap<Name, Instant>,
+    conditions: &mut Conditions,
+) -> BTreeMap<Name, Instant> {
+    let mut still_connecting = BTreeMap::new();
+    for gripper in grippers.all() {
+        let (name, state) = (gripper.name(), gripper.state());
+        let since = connecting.get(name).copied().unwrap_or(now.instant);
+        of_gripper(&state, now.instant.saturating_duration_since(since) < REACHED_WITHIN, conditions);
+        of_wear(name, wear, conditions);
+        if state.link == Link::Connecting {
+            still_connecting.insert(name.clone(), since);
+        }
+    }
+    still_connecting
 }

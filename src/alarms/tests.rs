@@ -229,13 +229,15 @@ async fn alarms_survive_a_restart() {
 #[tokio::test]
 async fn gateway_that_was_gone_before_a_restart_stays_gone() {
     let (journal, _) = Journal::open(JournalLocation::Memory, Retention::default()).unwrap();
-    let alarms = Alarms::new("wsg".parse().unwrap(), journal.clone(), &[]);
+    let alarms = Alarms::new("wsg".parse().unwrap(), journal, &[]);
     let gateway = Some("cell-7".parse().unwrap());
     let gone = AlarmKey { alarm: AlarmKind::GatewayGone, gripper: None, gateway, part_id: None };
     alarms.look(Now::read(), &[(gone.clone(), Some(AlarmCause::default()))].into());
-    let grippers = Grippers::new([]);
-    let peers = Peers::new("wsg".parse().unwrap(), grippers.clone(), None);
-    let wear = Wear::new(journal, None, &[]);
-    let after = |running_for| alarms.conditions(&grippers, &peers, &wear, running_for).get(&gone).cloned();
+    let peers = Peers::new("wsg".parse().unwrap(), Grippers::new([]), None);
+    let after = |running_for| {
+        let mut conditions = Conditions::new();
+        alarms.add_of_gateway(&peers, running_for, &mut conditions);
+        conditions.get(&gone).cloned()
+    };
     assert_eq!((after(Duration::ZERO), after(KEPT_FOR)), (Some(None), None));
 }
