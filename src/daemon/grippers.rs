@@ -74,6 +74,7 @@ impl RunningGrippers {
             let name = gripper.name.clone();
             let old = find(before, &name);
             if old.as_ref().is_none_or(|old| old.device != gripper.device) {
+                check_device(gripper, before, &changes.removed)?;
                 changes.connectors.insert(name.clone(), connector(gripper)?);
             }
             match old {
@@ -144,6 +145,25 @@ impl RunningGrippers {
         self.running.insert(gripper.name.clone(), RunningGripper { connector, metrics, _newest: newest });
         Ok(handle)
     }
+}
+
+/// Checks that a new device is not in use by another gripper that stays. Both would change at the same time, and
+/// connect to one device.
+fn check_device(gripper: &GripperConfig, before: &Config, removed: &[Name]) -> Result<(), ConfigError> {
+    let DeviceSource::At(address) = &gripper.device else { return Ok(()) };
+    let stays = |other: &&GripperConfig| other.name != gripper.name && !removed.contains(&other.name);
+    for other in before.grippers.iter().filter(stays) {
+        let DeviceSource::At(used) = &other.device else { continue };
+        if let Some(why) = address.conflict_with(used) {
+            let (name, other) = (&gripper.name, &other.name);
+            let detail = format!(
+                "{name} cannot take {address} over from {other} in one reload ({why}): restart the gateway, or first \
+                 remove {other} and reload"
+            );
+            return Err(ConfigError::at(&gripper.place, detail));
+        }
+    }
+    Ok(())
 }
 
 /// Whether a gripper keeps its configuration, wherever that stands in the file. WSG ports are compared separately.

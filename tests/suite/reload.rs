@@ -121,6 +121,43 @@ async fn changed_device_is_left_cleanly() {
 }
 
 #[tokio::test]
+async fn device_passes_to_another_gripper_once_its_own_is_removed() {
+    let [first, second] = [Simulator::start(&[]).await, Simulator::start(&[]).await];
+    let at = |name: &str, device: &Simulator| format!("[grippers.{name}]\nurl = \"tcp://{}\"\n", device.address);
+    let one = Configured::start(&[at("g", &first), at("h", &second)].concat()).await;
+    one.gateway.until_link("connected").await;
+    let swapped = [at("g", &second), at("h", &first)].concat();
+    let refused = one.try_reload(&swapped).await.problem(409, "invalid_configuration");
+    let expected = format!("g cannot take tcp://{} over from h in one reload", second.address);
+    assert!(refused["detail"].as_str().unwrap().contains(&expected), "{refused}");
+    assert_eq!(one.reload(&at("g", &first)).await, json!(["gripper h: removed"]));
+    assert_eq!(one.reload(&at("g", &second)).await, json!(["gripper g: changed"]));
+    assert_eq!(one.reload(&swapped).await, json!(["gripper h: added"]));
+    one.gateway.until_link("connected").await;
+}
+
+#[tokio::test]
+async fn added_gripper_has_time_to_connect_before_its_alarm() {
+    // Nothing listens there.
+    let at = |name: &str, port: u16| format!("[grippers.{name}]\nurl = \"tcp://127.0.0.1:{port}\"\n");
+    let one = Configured::start(&at("g", 1)).await;
+    let not_reached = async |gripper: &str| {
+        eventually("the alarm is raised", async || {
+            let list = one.gateway.send(one.gateway.request("GET", "/api/v1/alarms")).await.ok();
+            list["alarms"].as_array().unwrap().iter().find(|alarm| alarm["gripper"] == gripper).cloned()
+        })
+        .await
+    };
+    assert_eq!(not_reached("g").await["alarm"], "not_reached");
+    one.reload(&[at("g", 1), at("h", 2)].concat()).await;
+    let alarm = not_reached("h").await;
+    let reloaded = &one.gateway.events("kind=gateway", 3).await[0];
+    let time = |value: &Value| value.as_str().unwrap().parse::<jiff::Timestamp>().unwrap();
+    let after = time(&alarm["began_at"]).duration_since(time(&reloaded["at"]));
+    assert!(after.as_secs_f64() > 2.5, "{after} after the reload");
+}
+
+#[tokio::test]
 async fn port_keeps_its_socket_when_its_rules_change() {
     let port = |rest: &str| gripper("g", &format!("wsg_port = \"127.0.0.1:0\"\n{rest}"));
     let one = Configured::start(&port("")).await;
