@@ -149,14 +149,17 @@ struct RunningGateway {
 impl RunningGateway {
     /// Releases the grippers, and ends all parts.
     async fn end(self) -> anyhow::Result<()> {
-        // A reload under way is finished first, so that no gripper is left behind.
+        // A reload under way is finished first, so that no gripper is left behind. If it has failed, the others still
+        // have to be drained.
         self.stopping.cancel();
-        let Reloader { ports, modbus, listener, announcement, .. } = self.reloading.await?;
+        let mut reloader = self.reloading.await;
+        let announcement = reloader.as_mut().ok().and_then(|reloader| reloader.announcement.take());
         let withdrawn = announcement.map(|announcement| tokio::spawn(announcement.withdraw()));
         tracing::info!("shutting down: draining grippers");
         self.draining.cancel();
         self.grippers.drain().await;
         self.shutdown.cancel();
+        let Reloader { ports, modbus, listener, .. } = reloader?;
         drop(listener);
         self.server.await?;
         if let Some(zenoh) = self.zenoh {
