@@ -120,7 +120,7 @@ impl Actor {
     }
 
     /// Checks that neither a FAST STOP nor a lost setting forbids all motions.
-    fn check_stopped(&self) -> Result<(), Conflict> {
+    pub(super) fn check_stopped(&self) -> Result<(), Conflict> {
         match self.latch.id() {
             Some(id) => Err(Conflict::FastStop { id }),
             None => self.settings.check(),

@@ -33,10 +33,10 @@ impl Actor {
     /// Submits a motion to the session. No other place does.
     pub(super) fn start_motion(&mut self, now: Now, id: CommandId) {
         let Some(running) = self.motion.running.as_ref().filter(|running| running.id == id) else { return };
-        if let Some(fast_stop) = self.latch.id() {
-            return self.reject_running(now, Conflict::FastStop { id: fast_stop }.into());
-        }
         let request = running.motion.request();
+        if let Err(conflict) = self.check_stopped() {
+            return self.reject_running(now, conflict.into());
+        }
         if let Some(waited) = self.motion.is_late(now.instant) {
             let (command, waited_ms) = (super::name_of(&request), waited.as_millis() as u64);
             return self.reject_running(now, Failure::Late { command, waited_ms }.into());
@@ -60,8 +60,11 @@ impl Actor {
         let success = matches!(end, End::Reply(Reply::Success(_)));
         let client = self.commands.client(id).filter(|_| success);
         if self.motion.id() == Some(id) {
-            if success {
+            if success && self.link.is_up() {
                 self.start_motion(now, id);
+            } else if success {
+                // The device is being set up again.
+                self.set_stage(now, id, Ok(Stage::Waiting));
             } else {
                 let rejection = self.rejection_of("SetForceLimit", end);
                 self.reject_running(now, rejection);

@@ -4,12 +4,15 @@ use super::*;
 use crate::gripper::handle::Ticket;
 use crate::gripper::model::{Action, Code, CommandId, Motion, Outcome, Submission};
 use crate::gripper::recorder::Record;
-use crate::wsg::{Speed, Width};
+use crate::wsg::{Force, Speed, Width};
 
 /// Begins a motion whose replies the device holds back.
 fn release(rig: &mut Rig) -> (CommandId, Ticket) {
     rig.device.held.insert(id::RELEASE);
-    let motion = Motion::Release { width: Width::new(50.0).unwrap(), speed: Speed::new(50.0).unwrap() };
+    begin(rig, Motion::Release { width: Width::new(50.0).unwrap(), speed: Speed::new(50.0).unwrap() })
+}
+
+fn begin(rig: &mut Rig, motion: Motion) -> (CommandId, Ticket) {
     let (id, action) = (rig.ids.command_id(rig.now.wall), Action::Motion(motion));
     let submission = Submission { client: client(), action, request_id: None, lease: None };
     let mut answered = rig.request(|answer| ActorRequest::Submit { submission, id, answer });
@@ -100,6 +103,24 @@ fn own_stop_is_not_repeated_for_the_next_motion() {
     rig.reply(id::STOP, Status::E_CHECKSUM_ERROR, &[]);
     rig.exchange();
     assert_eq!((rig.count(id::STOP), rig.count(id::RELEASE)), (1, 2));
+}
+
+#[test]
+fn grip_waits_while_its_device_is_set_up_again() {
+    let mut rig = Rig::connected(config(LinkProperties { name: "serial", may_duplicate: false, ..UDP }));
+    rig.device.held.extend([id::SET_FORCE_LIMIT, id::GET_SYSTEM_INFO, id::GRIP]);
+    let (width, speed) = (Width::new(20.0).unwrap(), Speed::new(50.0).unwrap());
+    let force = Some(Force::new(30.0).unwrap());
+    begin(&mut rig, Motion::Grip { width, speed, force, part_id: None, recipe: None, is_reference: false });
+    assert_eq!(rig.count(id::SET_FORCE_LIMIT), 1);
+    rig.actor.set_up_again(rig.now);
+    rig.reply(id::SET_FORCE_LIMIT, Status::E_SUCCESS, &[]);
+    rig.exchange();
+    assert_eq!((rig.count(id::GET_SYSTEM_INFO), rig.count(id::GRIP)), (1, 0), "the settings are checked first");
+    rig.device.held = BTreeSet::from([id::GRIP]);
+    rig.reply(id::GET_SYSTEM_INFO, Status::E_SUCCESS, &[1, 1, 0x20, 0x40, 7, 0, 0, 0]);
+    rig.pass(10);
+    assert_eq!(rig.count(id::GRIP), 1);
 }
 
 #[test]
