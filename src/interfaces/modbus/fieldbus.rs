@@ -45,6 +45,11 @@ impl FieldbusFlags {
         self.0 & FAST_STOP != 0
     }
 
+    /// Whether a flag that jogs has fallen since `before`.
+    pub(super) fn ends_jog_since(self, before: Self) -> bool {
+        before.0 & !self.0 & (JOG_OPEN | JOG_CLOSE) != 0
+    }
+
     /// Whether FAST STOP has risen since `before`.
     pub(super) fn fast_stop_since(self, before: Self) -> bool {
         self.0 & !before.0 & FAST_STOP != 0
@@ -54,11 +59,11 @@ impl FieldbusFlags {
 impl FieldbusRegisters {
     /// Returns the order of the flags that have changed since `before`. The lowest rising flag wins, unless a jog ends: a
     /// motion would be refused while the fingers still move.
-    pub(super) fn order_since(self, before: FieldbusFlags) -> Option<ModbusOrder> {
-        let (rising, falling) = (self.flags.0 & !before.0, before.0 & !self.flags.0);
+    pub(super) fn order_since(self, before: FieldbusFlags, jogs: bool) -> Option<ModbusOrder> {
+        let rising = self.flags.0 & !before.0;
         let (width_mm, speed_mm_s) = (f64::from(self.width) / 100.0, f64::from(self.speed) / 100.0);
         let lowest = rising & rising.wrapping_neg();
-        let ends_jog = falling & (JOG_OPEN | JOG_CLOSE) != 0;
+        let ends_jog = jogs && self.flags.ends_jog_since(before);
         Some(match lowest {
             _ if ends_jog && rising & STOP_OR_ACKNOWLEDGE == 0 => ModbusOrder::Stop,
             _ if ends_jog => ModbusOrder::StopOrAcknowledge,
@@ -92,7 +97,7 @@ mod tests {
     }
 
     fn order(before: u8, flags: u8) -> Option<ModbusOrder> {
-        outputs(flags).order_since(FieldbusFlags(before))
+        outputs(flags).order_since(FieldbusFlags(before), true)
     }
 
     #[test]
@@ -125,6 +130,8 @@ mod tests {
         }
         assert_eq!(order(JOG_CLOSE, STOP_OR_ACKNOWLEDGE), Some(ModbusOrder::StopOrAcknowledge));
         assert_eq!(order(MOVE, 0), None);
+        assert_eq!(outputs(0).order_since(FieldbusFlags(JOG_OPEN), false), None, "the jog was refused");
+        assert_eq!(outputs(MOVE).order_since(FieldbusFlags(JOG_OPEN), false), order(0, MOVE));
     }
 
     #[test]

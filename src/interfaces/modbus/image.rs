@@ -85,6 +85,8 @@ pub(super) struct Image {
     /// Number of the last command in this image.
     number: u64,
     command: ImageCommand,
+    /// Number of the command that jogs the fingers. A refused one does not.
+    jog: Option<u64>,
     grip: LastGrip,
     /// Number of the FAST STOP that the client has read; 0 for none.
     seen: u16,
@@ -103,6 +105,11 @@ impl Ended {
             _ => Status::E_ACCESS_DENIED,
         };
         Self { is_ok: false, outcome: None, problem: Some(problem), status: status.code() }
+    }
+
+    /// Whether the command was refused, so that it has no effect.
+    fn has_moved_nothing(self) -> bool {
+        self.problem.is_some() && self.outcome.is_none() && self.status != Status::E_TIMEOUT.code()
     }
 
     /// The end of a command without a motion, or of a Stop without an effect.
@@ -144,6 +151,7 @@ impl Image {
             counter: 0,
             number: 0,
             command: ImageCommand::None,
+            jog: None,
             grip: LastGrip::default(),
             seen: 0,
             alive_at: now,
@@ -194,6 +202,7 @@ impl Image {
 
     /// Takes the end of a command, unless there is a newer one.
     pub(super) fn ended(&mut self, number: u64, ended: Ended) {
+        self.jog = self.jog.filter(|jog| *jog != number || !ended.has_moved_nothing());
         if number == self.number {
             self.command = ImageCommand::Ended(ended);
         }
@@ -268,9 +277,13 @@ impl Image {
         FieldbusRegisters::from(self.outputs.fieldbus).flags
     }
 
-    fn fieldbus_order(&self, before: FieldbusFlags) -> Option<ModbusOrder> {
+    fn fieldbus_order(&mut self, before: FieldbusFlags) -> Option<ModbusOrder> {
         let outputs = FieldbusRegisters::from(self.outputs.fieldbus);
-        outputs.order_since(before).filter(|_| self.is_fieldbus_prepared)
+        let jogs = self.jog.is_some();
+        if outputs.flags.ends_jog_since(before) {
+            self.jog = None;
+        }
+        outputs.order_since(before, jogs).filter(|_| self.is_fieldbus_prepared)
     }
 
     fn gateway_order(&mut self, outputs: CommandRegisters) -> Result<Option<ModbusOrder>, OutOfRange> {
@@ -286,6 +299,9 @@ impl Image {
         if order.is_blocked_by_fast_stop() && self.requests_fast_stop() {
             self.command = ImageCommand::Ended(Ended::refused(Code::FastStop));
             return None;
+        }
+        if matches!(order, ModbusOrder::Jog { .. }) {
+            self.jog = Some(number);
         }
         Some((number, order))
     }

@@ -2,6 +2,7 @@
 
 use serde_json::json;
 use tokio_modbus::client::Reader as _;
+use wsg_gateway::wsg::id;
 
 use super::{Cell, Plc};
 use crate::harness::eventually;
@@ -79,6 +80,19 @@ async fn program_for_the_fieldbus_moves_the_gripper() {
         let standing = cell.gateway.until_standing().await;
         assert!(standing["width_mm"].as_f64().unwrap() < 100.0, "{standing}");
     }
+}
+
+#[tokio::test]
+async fn refused_jog_stops_no_other_client() {
+    let cell = Cell::start().await;
+    let mut image = Image { plc: Plc::connect(cell.address).await };
+    cell.gateway.post("home", &json!({})).await.outcome("SUCCESS");
+    let command = cell.gateway.begin("move", &json!({"width_mm": 30, "speed_mm_s": 50})).await;
+    cell.gateway.until_moving().await;
+    assert_eq!(image.execute(JOG_OPEN, 0, 500, 0).await[5], ACCESS_DENIED);
+    image.flags(0, 0, 500, 0).await;
+    cell.gateway.command(&command).await.outcome("SUCCESS");
+    assert_eq!(cell.proxy.frames.count(id::STOP), 0);
 }
 
 #[tokio::test]
