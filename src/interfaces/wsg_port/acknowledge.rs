@@ -1,4 +1,4 @@
-//! A client's right to acknowledge a FAST STOP with 24h.
+//! Acknowledging a FAST STOP with 24h, and a client's right to do so.
 //!
 //! Many drivers send 24h as their first request. So that a driver can start again, 24h clears a FAST STOP that the
 //! gripper or a lost driver of the same host caused. By default, 24h never clears a FAST STOP that another client
@@ -6,7 +6,25 @@
 
 use std::sync::Arc;
 
-use crate::gripper::model::{FastStopCause, FastStopId, LatchFields};
+use tokio::time::timeout;
+
+use crate::gripper::handle::FAST_STOP_WAIT;
+use crate::gripper::model::{Client, FastStopCause, FastStopId, LatchFields, State};
+use crate::gripper::{Conflict, Handle, Rejection};
+
+/// Acknowledges a FAST STOP. A driver that connects again just after its connection was lost sends 24h before the device
+/// has confirmed the FAST STOP for that loss.
+pub(super) async fn acknowledge(gripper: &Handle, id: FastStopId, client: Client) -> Result<(), Rejection> {
+    let result = gripper.acknowledge(id, client.clone()).await;
+    if !matches!(result, Err(Rejection::Conflict(Conflict::FastStopUnconfirmed { .. }))) {
+        return result;
+    }
+    let mut states = gripper.states();
+    let is_confirmed = |state: &Arc<State>| state.latch.as_ref().is_none_or(|latch| latch.fast_stop_confirmed);
+    // Without a confirmation, the second attempt is refused for the same reason.
+    let _ = timeout(FAST_STOP_WAIT, states.wait_for(is_confirmed)).await;
+    gripper.acknowledge(id, client).await
+}
 
 #[derive(Debug)]
 pub(super) struct AcknowledgeRight {

@@ -11,6 +11,7 @@ use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio::sync::oneshot;
 use tokio_util::sync::CancellationToken;
 
+use super::acknowledge::acknowledge;
 use super::device::{PortOrder, PortOrdered, PortReply, PortRequest, VirtualDevice};
 use super::port::Port;
 use super::refusals::{Cause, Refusals, Refused};
@@ -360,7 +361,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             }
             .boxed(),
             PortOrder::Acknowledge(id) => async move {
-                match gripper.acknowledge(id, client).await {
+                match acknowledge(&gripper, id, client).await {
                     Ok(()) => Step::Answered(ask, PortReply::Reply(Reply::Success(Data::None))),
                     Err(rejection) => Step::Rejected(ask, rejection, true),
                 }

@@ -1,7 +1,7 @@
 //! The WSG port: the manual's own protocol for several clients at a time, each with its own virtual device.
 //!
 //! `device` is the virtual device, a pure machine. Its parts are `input` (parses requests), `values` (what getters
-//! return), `acknowledge` (the right to clear a FAST STOP) and `status` (maps refusals to statuses). `client` is the
+//! return), `acknowledge` (the right to clear a FAST STOP, and 24h itself) and `status` (maps refusals to statuses). `client` is the
 //! I/O around the device, `rights` checks the clients' roles, and `refusals` reports what was refused. `tcp` and `udp`
 //! accept clients; `unreachable` notices dead ones.
 //!

@@ -51,6 +51,20 @@ async fn fast_stop_is_acknowledged_only_by_its_driver() {
 }
 
 #[tokio::test]
+async fn driver_that_connects_again_at_once_can_acknowledge() {
+    let cell = Cell::homed().await;
+    let mut lost = cell.driver().await;
+    assert_eq!(lost.status(MOVE, &move_to(10.0, 5.0)).await, PENDING);
+    let mut states = crate::harness::Socket::open(&cell.gateway).await;
+    states.call("subscribe", json!({"topics": ["state"]})).await;
+    lost.reset();
+    states.notification("state", |state| state["fast_stop_cause"] == "client_lost").await;
+    let mut again = cell.driver().await;
+    assert_eq!(again.status(0x24, b"ack").await, SUCCESS);
+    assert_eq!(again.run(MOVE, &move_to(20.0, 200.0)).await, SUCCESS);
+}
+
+#[tokio::test]
 async fn fast_stop_over_http_is_acknowledged_over_http() {
     let cell = Cell::homed().await;
     let mut driver = cell.driver().await;
