@@ -49,7 +49,7 @@ pub async fn write(path: &Path, flags: &Flags, findings: &[Diagnosis], version: 
     if let Some(config) = &config {
         add(&mut archive, "events.jsonl", &events(config).unwrap_or_default())?;
         for (name, path) in [("readiness.json", "/readyz"), ("metrics.txt", "/metrics")] {
-            if let Some(body) = running::get(config.listen, path).await {
+            if let Some(body) = running::get_text(config.listen, path).await {
                 add(&mut archive, name, &body)?;
             }
         }

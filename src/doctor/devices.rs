@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use super::probe::{Identification, identify};
-use super::running::GatewayState;
-use super::{Diagnosis, Installation, can, clients, serial};
+use super::running::{GatewayState, ServedGripper};
+use super::{Diagnosis, Installation, Severity, can, clients, serial};
 use crate::config::{DeviceSource, GripperConfig};
 use crate::gripper::model::Name;
 use crate::transport::{Address, SerialAddress, TcpAddress, UdpAddress};
@@ -34,26 +34,48 @@ async fn check_one(running: &GatewayState, gripper: &GripperConfig) -> Diagnosis
         DeviceSource::Simulated(_) => return Diagnosis::good(CHECK, format_args!("{} is simulated", gripper.name)),
         DeviceSource::At(address) => (&gripper.name, address),
     };
-    let of_interface = match address {
+    let of_interface = || match address {
         Address::Serial(address) => serial::check(address),
         Address::Can(address) => can::check(address),
         Address::Tcp(_) | Address::Udp(_) => None,
     };
-    match (of_interface, running) {
-        (Some(finding), _) => finding,
-        (None, GatewayState::Ready { not_ready }) => {
-            let begin = format!("{name}: ");
-            match not_ready.iter().find(|gripper| gripper.starts_with(&begin)) {
-                Some(cause) => {
-                    Diagnosis::problem(CHECK, format_args!("{cause}: see the guide on operation, Link causes"))
-                }
-                None => Diagnosis::good(CHECK, format_args!("{name} is connected to the running gateway")),
-            }
+    match running {
+        GatewayState::Answers { grippers } => {
+            let served = of_running(name, address, grippers);
+            let is_good = served.severity == Severity::Good;
+            if is_good { served } else { of_interface().unwrap_or(served) }
         }
-        (None, GatewayState::Silent) => {
+        GatewayState::Silent => of_interface().unwrap_or_else(|| {
             Diagnosis::good(CHECK, format_args!("{name} not contacted, because a running gateway may use it"))
+        }),
+        GatewayState::No | GatewayState::Other { .. } => match of_interface() {
+            Some(finding) => finding,
+            None => contact(name, address).await,
+        },
+    }
+}
+
+/// Judges a gripper by what the running gateway says.
+fn of_running(name: &Name, address: &Address, grippers: &[ServedGripper]) -> Diagnosis {
+    let Some(ServedGripper { url, link, link_cause, .. }) = grippers.iter().find(|served| served.gripper == *name)
+    else {
+        return Diagnosis::warning(CHECK, format_args!("the running gateway does not have {name} yet: reload it"));
+    };
+    if *url != address.to_string() {
+        let text = format!("the running gateway has {name} at {url}, not at {address}: reload it");
+        return Diagnosis::warning(CHECK, text);
+    }
+    let cause = link_cause.as_ref().map(|cause| format!(": {cause}")).unwrap_or_default();
+    match link.as_str() {
+        "connected" => Diagnosis::good(CHECK, format_args!("{name} is connected to the running gateway")),
+        "released" => {
+            let text = format!("{name} was released by a client{cause}: send POST /api/v1/grippers/{name}/connect");
+            Diagnosis::warning(CHECK, text)
         }
-        (None, GatewayState::No | GatewayState::Other { .. }) => contact(name, address).await,
+        _ => {
+            let text = format!("{name}: {link}{cause}: see the guide on operation, Link causes");
+            Diagnosis::problem(CHECK, text)
+        }
     }
 }
 

@@ -4,12 +4,14 @@ use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::time::Duration;
 
 use serde::Deserialize;
+use serde::de::DeserializeOwned;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 use tokio::time::timeout;
 
 use super::{Diagnosis, Installation};
 use crate::config::{AccessConfig, Config, JournalPlace};
+use crate::gripper::model::Name;
 use crate::journal;
 
 /// Time limit of a request to the gateway.
@@ -22,11 +24,10 @@ const MAX_BYTES: u64 = 4 << 20;
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum GatewayState {
     No,
-    /// The journal is in use, but the gateway does not report its readiness to this program.
+    /// The journal or the address is in use, but the gateway does not report its readiness to this program.
     Silent,
-    Ready {
-        /// Grippers that are not connected, with the causes.
-        not_ready: Vec<String>,
+    Answers {
+        grippers: Vec<ServedGripper>,
     },
     /// Another gateway answers at the address.
     Other {
@@ -34,39 +35,56 @@ pub(super) enum GatewayState {
     },
 }
 
+/// A gripper of the running gateway.
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
+pub(super) struct ServedGripper {
+    pub(super) gripper: Name,
+    pub(super) url: String,
+    pub(super) link: String,
+    pub(super) link_cause: Option<String>,
+}
+
 #[derive(Deserialize)]
 struct Readiness {
     gateway: String,
-    not_ready: Vec<String>,
+}
+
+#[derive(Deserialize)]
+struct ServedGrippers {
+    grippers: Vec<ServedGripper>,
 }
 
 impl GatewayState {
     pub(super) async fn find(config: &Config) -> Self {
-        let readiness = get(config.listen, "/readyz").await;
-        let readiness = readiness.and_then(|body| serde_json::from_str::<Readiness>(&body).ok());
+        let name = get::<Readiness>(config.listen, "/readyz").await.map(|readiness| readiness.gateway);
+        if name.as_deref() == Some(config.name.as_str()) {
+            let served = get::<ServedGrippers>(config.listen, "/api/v1/grippers").await;
+            return served.map_or(Self::Silent, |served| Self::Answers { grippers: served.grippers });
+        }
         let holds_journal = match &config.journal.place {
             JournalPlace::File(path) => journal::is_in_use(path),
             JournalPlace::Memory => false,
         };
-        match readiness {
-            Some(Readiness { gateway, not_ready }) if gateway == config.name.as_str() => Self::Ready { not_ready },
+        match name {
             _ if holds_journal => Self::Silent,
-            Some(Readiness { gateway: name, .. }) => Self::Other { name },
+            Some(name) => Self::Other { name },
+            // The journal of another user's gateway cannot be found.
+            None if is_guarded(config) && is_served(config.listen).await => Self::Silent,
             None => Self::No,
         }
     }
 
     /// Whether the gateway of this configuration runs.
     pub(super) fn is_ours(&self) -> bool {
-        matches!(self, Self::Silent | Self::Ready { .. })
+        matches!(self, Self::Silent | Self::Answers { .. })
     }
 }
 
 pub(super) fn check(installation: &Installation) -> Vec<Diagnosis> {
-    let Config { name, listen, access, tls, .. } = &installation.config;
+    let Config { name, listen, .. } = &installation.config;
     let finding = match &installation.running {
         GatewayState::No => Diagnosis::good("gateway", format_args!("{name} is not running")),
-        GatewayState::Silent if *access != AccessConfig::Open || tls.is_some() => Diagnosis::good(
+        GatewayState::Silent if is_guarded(&installation.config) => Diagnosis::good(
             "gateway",
             format_args!("{name} is running; its readiness needs a credential, so the grippers are not checked"),
         ),
@@ -77,7 +95,7 @@ pub(super) fn check(installation: &Installation) -> Vec<Diagnosis> {
                  them to doctor too; otherwise read its log"
             ),
         ),
-        GatewayState::Ready { .. } => Diagnosis::good("gateway", format_args!("{name} is running at {listen}")),
+        GatewayState::Answers { .. } => Diagnosis::good("gateway", format_args!("{name} is running at {listen}")),
         GatewayState::Other { name: other } => Diagnosis::problem(
             "gateway",
             format_args!(
@@ -89,12 +107,32 @@ pub(super) fn check(installation: &Installation) -> Vec<Diagnosis> {
     vec![finding]
 }
 
-/// Returns the body of a successful response of the gateway.
-pub(super) async fn get(address: SocketAddr, path: &str) -> Option<String> {
-    let mut address = address;
+/// Whether the gateway reports its readiness only over TLS or to clients with a credential.
+fn is_guarded(config: &Config) -> bool {
+    config.access != AccessConfig::Open || config.tls.is_some()
+}
+
+/// Whether a program accepts connections at this address.
+async fn is_served(address: SocketAddr) -> bool {
+    timeout(ANSWERS_WITHIN, TcpStream::connect(reachable(address))).await.is_ok_and(|connected| connected.is_ok())
+}
+
+/// Returns the address at which this machine reaches a server that listens on `address`.
+fn reachable(mut address: SocketAddr) -> SocketAddr {
     if address.ip().is_unspecified() {
         address.set_ip(if address.is_ipv4() { Ipv4Addr::LOCALHOST.into() } else { Ipv6Addr::LOCALHOST.into() });
     }
+    address
+}
+
+/// Returns the JSON body of a successful response of the gateway.
+async fn get<T: DeserializeOwned>(address: SocketAddr, path: &str) -> Option<T> {
+    serde_json::from_str(&get_text(address, path).await?).ok()
+}
+
+/// Returns the body of a successful response of the gateway.
+pub(super) async fn get_text(address: SocketAddr, path: &str) -> Option<String> {
+    let address = reachable(address);
     let request = format!("GET {path} HTTP/1.0\r\nHost: {address}\r\n\r\n");
     let exchange = async {
         let mut stream = TcpStream::connect(address).await?;

@@ -5,6 +5,8 @@ use std::net::TcpListener;
 use std::os::unix::fs::PermissionsExt as _;
 use std::process::Command;
 
+use serde_json::json;
+
 use crate::harness::{Directory, Gateway, Simulator, run};
 
 /// Runs a command line that must fail, and returns its standard error.
@@ -222,6 +224,34 @@ async fn doctor_exits_with_1_and_names_the_problem() {
     assert!(ended.stderr.contains("1 problem found"), "{ended:?}");
     let ended = run(&[&["doctor"], &flags[..], &["127.0.0.1:0"]].concat()).await;
     assert!(ended.status.success(), "{ended:?}");
+}
+
+#[tokio::test]
+async fn doctor_asks_the_running_gateway_about_its_grippers() {
+    let device = Simulator::start(&[]).await;
+    let gateway = Gateway::connected_to(device.address).await;
+    let info = gateway.send(gateway.request("GET", "/readyz")).await.ok();
+    let flags = ["doctor", "--zenoh-mode", "off", "--journal", ":memory:"];
+    let url = gateway.url("/");
+    let listen = url.trim_start_matches("http://").trim_end_matches('/');
+    let own = ["--name", info["gateway"].as_str().unwrap(), "--listen", listen];
+    let doctor = async |gripper: &str| {
+        let ended = run(&[&flags[..], &own, &["--gripper", gripper]].concat()).await;
+        assert!(ended.status.success(), "{ended:?}");
+        ended.stdout
+    };
+    let g = format!("g=tcp://{}", device.address);
+    assert!(doctor(&g).await.contains("ok       gripper        g is connected to the running gateway"));
+    for (gripper, expected) in [
+        (g.replace("g=", "h="), "the running gateway does not have h yet: reload it"),
+        ("g=tcp://127.0.0.1:1".to_owned(), "not at tcp://127.0.0.1:1: reload it"),
+    ] {
+        let said = doctor(&gripper).await;
+        assert!(said.contains("warning  gripper") && said.contains(expected), "{said}");
+    }
+    gateway.post("disconnect", &json!({})).await.ok();
+    let said = doctor(&g).await;
+    assert!(said.contains("warning  gripper        g was released by a client"), "{said}");
 }
 
 #[tokio::test]
