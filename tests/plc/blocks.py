@@ -253,28 +253,102 @@ def status_bits(plc):
     expect(status["nmotionnumber"], 131075, "motion number")
 
 
+class Example:
+    """The example, with its buttons and its step."""
+
+    def __init__(self, plc):
+        self.plc, self.program = plc, plc.program
+        self.buttons = plc.inputs[self.program[""].name]
+        plc.gateway.recipe(1, **PART)
+        self.arm()
+
+    def until(self, step, alarm=0, **inputs):
+        self.buttons.update(inputs)
+        self.plc.until(lambda: self.program["nstep"] == step, f"step {step} after {inputs}")
+        expect(self.program["walarmid"], alarm, f"ErrorID of the alarm at step {step}")
+
+    def press(self, button):
+        for is_pressed in (True, False):
+            self.buttons[button] = is_pressed
+            self.plc.cycle()
+
+    def arm(self):
+        self.buttons.update(bStart=False, bPlaced=False)
+        self.plc.until(lambda: self.program["barmed"], "both signals have been FALSE")
+
+    def stays(self, step, motions, why):
+        """Expects that the step stays for a while, and that no motion begins."""
+        self.plc.wait(0.3)
+        sent = [command[1] for command in self.plc.sent if command[1] < 5]
+        expect((self.program["nstep"], sent), (step, motions), why)
+
+
 def example(plc):
-    program = plc.program
-
-    def until(test, **inputs):
-        plc.inputs[program[""].name].update(inputs)
-        plc.until(test, f"step {program['nstep']} goes on")
-
-    plc.gateway.recipe(1, **PART)
-    until(lambda: program["nstep"] == 30, bStart=True)
-    until(lambda: program["nstep"] == 0, bStart=False, bPlaced=True)
+    program, one = plc.program, Example(plc)
+    one.until(30, bStart=True)
+    one.until(0, bStart=False, bPlaced=True)
     plc.gateway.recipe(1, **{**PART, "width_mm": 30})
-    until(lambda: program["bempty"], bStart=True, bPlaced=False)
-    until(lambda: program["nstep"] == 0, bStart=False)
+    one.buttons.update(bStart=True, bPlaced=False)
+    plc.until(lambda: program["bempty"], "the gripper finds no part")
+    one.until(0, bStart=False)
     expect([command[1] for command in plc.sent], [1, 3, 4, 3, 4], "commands")
-    until(lambda: program["nstep"] == 20 and program["fbstatus"]["bmoving"], bStart=True)
-    until(lambda: program["balarm"], bFastStopInput=True)
-    expect(program["walarmid"], 0x0105, "alarm")
-    until(lambda: program["nstep"] == 90, bFastStopInput=False, bStart=False)
-    until(lambda: program["fbstatus"]["bfaststop"])
-    until(lambda: program["nstep"] == 0, bAckButton=True)
-    until(lambda: not program["fbstatus"]["bfaststop"])
+    one.until(20, bStart=True)
+    plc.until(lambda: program["fbstatus"]["bmoving"], "motion")
+    one.until(90, bFastStopInput=True, alarm=0x0105)
+    one.buttons.update(bFastStopInput=False)
+    plc.until(lambda: program["fbstatus"]["bfaststop"], "FAST STOP")
+    one.press("bAckButton")
+    plc.until(lambda: not program["fbstatus"]["bfaststop"], "acknowledged")
+    one.until(90)
+    one.press("bAckButton")
+    one.until(0)
     expect(program["balarm"], False, "alarm")
+    one.stays(0, [1, 3, 4, 3, 4, 3], "the acknowledge button moves nothing, although bStart is set")
+    one.arm()
+    one.until(20, bStart=True)
+
+
+def example_with_stop(plc):
+    """After an alarm, and while the Stop button is held, no motion begins, and no part is released."""
+    program, one = plc.program, Example(plc)
+    one.until(30, bStart=True)
+    one.until(90, bStart=False, bStopButton=True, bPlaced=True, alarm=0x0304)
+    one.press("bReleaseButton")
+    one.stays(90, [1, 3], "the release button waits for the end of the Stop")
+    one.buttons.update(bStopButton=False)
+    one.press("bAckButton")
+    one.until(30, alarm=0x0304)
+    one.stays(30, [1, 3], "the acknowledge button moves nothing, although bPlaced is set")
+    one.arm()
+    one.until(0, bPlaced=True)
+    plc.gateway.recipe(1, **{**PART, "accept_min_mm": 21})
+    one.until(90, bStart=True, bPlaced=False, alarm=0x010B)
+    one.press("bAckButton")
+    one.stays(90, [1, 3, 4, 3], "a wrong part is not placed")
+    one.press("bReleaseButton")
+    one.until(0)
+    one.stays(0, [1, 3, 4, 3, 4], "no grip begins after an alarm, although bStart is set")
+    plc.gateway.recipe(1, **PART)
+    one.arm()
+    one.until(20, bStart=True)
+    plc.until(lambda: program["fbstatus"]["bmoving"], "motion")
+    one.until(90, bStopButton=True, alarm=0x0304)
+    plc.until(lambda: not program["fbstatus"]["bmoving"], "end of the motion")
+    one.press("bAckButton")
+    one.until(0, alarm=0x0304)
+    one.stays(0, [1, 3, 4, 3, 4, 3], "no motion begins while the Stop button is held")
+    one.until(0, bStopButton=False, alarm=0x0304)
+    one.arm()
+    one.until(30, bStart=True)
+    # Another client takes the part.
+    lease = plc.gateway.http("POST", "grippers/left/lease", {"holder": "other", "force": True})["token"]
+    plc.gateway.http("POST", "grippers/left/release", {"width_mm": 60, "speed_mm_s": 200}, lease=lease)
+    one.until(90)
+    plc.is_connected = False
+    plc.disconnect()
+    plc.until(lambda: not program["fbclient"]["bonline"], "lost connection")
+    one.buttons.update(bStopButton=True)
+    plc.until(lambda: program["walarmid"] == 0x0303, "alarm of a failed Stop")
 
 
 def random_faults(plc):
@@ -284,8 +358,8 @@ def random_faults(plc):
     buttons = plc.inputs["PRG_Example"]
     for i in range(400):
         if i % 7 == 0:
-            for name, likely in (("bStart", 0.7), ("bPlaced", 0.3), ("bAckButton", 0.4), ("bStopButton", 0.03),
-                                 ("bFastStopInput", 0.02)):
+            for name, likely in (("bStart", 0.7), ("bPlaced", 0.3), ("bAckButton", 0.4), ("bReleaseButton", 0.1),
+                                 ("bStopButton", 0.03), ("bFastStopInput", 0.02)):
                 buttons[name] = chance.random() < likely
             plc.is_connected = chance.random() > (0.02 if plc.is_connected else 0.8)
             plc.writes = chance.random() > (0.02 if plc.writes else 0.8)
@@ -294,9 +368,9 @@ def random_faults(plc):
         plc.cycle()
         expect(plc.registers["aout"][10], int(buttons["bFastStopInput"]), "FAST STOP register")
     plc.is_connected = plc.writes = True
-    buttons.update(bStart=True, bPlaced=False, bStopButton=False, bFastStopInput=False)
-    for _ in range(60):
-        buttons["bAckButton"] = not buttons["bAckButton"]
+    buttons.update(bPlaced=False, bStopButton=False, bFastStopInput=False)
+    for i in range(60):
+        buttons.update(bStart=program["barmed"], bAckButton=i % 4 == 0, bReleaseButton=i % 4 == 2)
         plc.wait(0.1)
         if program["nstep"] == 30 and not program["balarm"]:
             return
@@ -425,7 +499,7 @@ def main():
         results.append(attempt("tia::same_as_codesys", compare, projects["codesys"], projects["tia"]))
         tests = [("codesys", scenario, {}) for scenario in SCENARIOS]
         tests += [("codesys", values, {"unit": 2}), ("http", grip_cycle, {"program": "FB_WsgHttpRequest"})]
-        tests += [("codesys", test, {"program": "PRG_Example"}) for test in (example, random_faults)]
+        tests += [("codesys", test, {"program": "PRG_Example"}) for test in (example, example_with_stop, random_faults)]
         tests.append(("tia", example, {"program": "FB_WsgExample"}))
         # The tests wait for motions most of the time.
         with ThreadPoolExecutor(4) as threads:
