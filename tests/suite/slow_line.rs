@@ -10,6 +10,7 @@ use wsg_gateway::gripper::model::{FastStopId, FrameDirection, FrameRecord, Reaso
 use wsg_gateway::wsg::{Command, CustomCommand, id};
 
 use crate::conformance::rig::{Rig, SOON, client};
+use crate::harness::on_pty;
 
 const FLOOD: RangeInclusive<u8> = 0xB0..=0xB5;
 
@@ -50,8 +51,12 @@ async fn handed_over(frames: &mut broadcast::Receiver<Arc<WireRecord>>) -> Frame
     tokio::time::timeout(SOON, sent).await.expect("a frame is handed over")
 }
 
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[tokio::test]
 async fn fast_stop_waits_for_one_frame_at_most() {
+    on_pty(waits_for_one_frame).await;
+}
+
+async fn waits_for_one_frame() {
     let rig = Rig::new("serial://pty?baud=9600").await;
     let mut frames = rig.handle.frames();
     // Each id can have one request in flight, so all of these could be on the line at once.
