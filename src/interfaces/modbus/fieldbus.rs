@@ -45,7 +45,7 @@ impl FieldbusFlags {
         self.0 & FAST_STOP != 0
     }
 
-    /// Whether a flag that jogs has fallen since `before`.
+    /// Whether a JOG flag has fallen since `before`.
     pub(super) fn ends_jog_since(self, before: Self) -> bool {
         before.0 & !self.0 & (JOG_OPEN | JOG_CLOSE) != 0
     }
@@ -58,12 +58,13 @@ impl FieldbusFlags {
 
 impl FieldbusRegisters {
     /// Returns the order of the flags that have changed since `before`. The lowest rising flag wins, unless a jog ends: a
-    /// motion would be refused while the fingers still move.
-    pub(super) fn order_since(self, before: FieldbusFlags, jogs: bool) -> Option<ModbusOrder> {
+    /// motion would be refused while the fingers still move. `is_jogging` tells whether a JOG of this client may be moving
+    /// the fingers.
+    pub(super) fn order_since(self, before: FieldbusFlags, is_jogging: bool) -> Option<ModbusOrder> {
         let rising = self.flags.0 & !before.0;
         let (width_mm, speed_mm_s) = (f64::from(self.width) / 100.0, f64::from(self.speed) / 100.0);
         let lowest = rising & rising.wrapping_neg();
-        let ends_jog = jogs && self.flags.ends_jog_since(before);
+        let ends_jog = is_jogging && self.flags.ends_jog_since(before);
         Some(match lowest {
             _ if ends_jog && rising & STOP_OR_ACKNOWLEDGE == 0 => ModbusOrder::Stop,
             _ if ends_jog => ModbusOrder::StopOrAcknowledge,

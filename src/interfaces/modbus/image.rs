@@ -1,5 +1,6 @@
 //! The registers of one connection at one unit: the written values, and the progress of its commands.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -85,8 +86,8 @@ pub(super) struct Image {
     /// Number of the last command in this image.
     number: u64,
     command: ImageCommand,
-    /// Number of the command that jogs the fingers. A refused one does not.
-    jog: Option<u64>,
+    /// Numbers of the JOG commands whose flags are set, without refused ones: at most one for each flag.
+    jogs: BTreeSet<u64>,
     grip: LastGrip,
     /// Number of the FAST STOP that the client has read; 0 for none.
     seen: u16,
@@ -108,7 +109,7 @@ impl Ended {
     }
 
     /// Whether the command was refused, so that it has no effect.
-    fn has_moved_nothing(self) -> bool {
+    fn was_refused(self) -> bool {
         self.problem.is_some() && self.outcome.is_none() && self.status != Status::E_TIMEOUT.code()
     }
 
@@ -151,7 +152,7 @@ impl Image {
             counter: 0,
             number: 0,
             command: ImageCommand::None,
-            jog: None,
+            jogs: BTreeSet::new(),
             grip: LastGrip::default(),
             seen: 0,
             alive_at: now,
@@ -202,7 +203,9 @@ impl Image {
 
     /// Takes the end of a command, unless there is a newer one.
     pub(super) fn ended(&mut self, number: u64, ended: Ended) {
-        self.jog = self.jog.filter(|jog| *jog != number || !ended.has_moved_nothing());
+        if ended.was_refused() {
+            self.jogs.remove(&number);
+        }
         if number == self.number {
             self.command = ImageCommand::Ended(ended);
         }
@@ -279,11 +282,11 @@ impl Image {
 
     fn fieldbus_order(&mut self, before: FieldbusFlags) -> Option<ModbusOrder> {
         let outputs = FieldbusRegisters::from(self.outputs.fieldbus);
-        let jogs = self.jog.is_some();
+        let is_jogging = !self.jogs.is_empty();
         if outputs.flags.ends_jog_since(before) {
-            self.jog = None;
+            self.jogs.clear();
         }
-        outputs.order_since(before, jogs).filter(|_| self.is_fieldbus_prepared)
+        outputs.order_since(before, is_jogging).filter(|_| self.is_fieldbus_prepared)
     }
 
     fn gateway_order(&mut self, outputs: CommandRegisters) -> Result<Option<ModbusOrder>, OutOfRange> {
@@ -301,7 +304,7 @@ impl Image {
             return None;
         }
         if matches!(order, ModbusOrder::Jog { .. }) {
-            self.jog = Some(number);
+            self.jogs.insert(number);
         }
         Some((number, order))
     }

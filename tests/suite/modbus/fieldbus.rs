@@ -80,6 +80,15 @@ async fn program_for_the_fieldbus_moves_the_gripper() {
         let standing = cell.gateway.until_standing().await;
         assert!(standing["width_mm"].as_f64().unwrap() < 100.0, "{standing}");
     }
+    // A second JOG is refused while the first moves the fingers.
+    image.flags(0, 0, 500, 0).await;
+    image.flags(JOG_CLOSE, 0, 500, 0).await;
+    cell.gateway.until_moving().await;
+    image.flags(JOG_CLOSE | JOG_OPEN, 0, 500, 0).await;
+    assert_eq!(image.until("refused", |inputs| inputs[5] != PENDING).await[5], ACCESS_DENIED);
+    image.flags(0, 0, 500, 0).await;
+    let standing = cell.gateway.until_standing().await;
+    assert!(standing["width_mm"].as_f64().unwrap() > 10.0, "{standing}");
 }
 
 #[tokio::test]
