@@ -20,8 +20,8 @@ const REPLAYED_FOR: SignedDuration = SignedDuration::from_mins(10);
 /// Maximum number of recovered requests, the newest: more than ten minutes at 100 a second.
 const MAX_REQUESTS: usize = 65_536;
 
-/// Step back between two records that only a clock that was set back explains, in ms. Merged records come at most some
-/// seconds after their time.
+/// Largest step back between two neighbouring records, in ms, that merging explains. A larger one means that the clock
+/// was set back.
 const SET_BACK_MS: i64 = 60_000;
 
 /// Data of earlier runs.
@@ -132,16 +132,22 @@ fn requests(connection: &Connection) -> rusqlite::Result<Vec<PastRequest>> {
     Ok(requests.in_order.into_values().collect())
 }
 
-/// Returns the sequence number of the first record within [`REPLAYED_FOR`]. A time in which the clock was set back
-/// counts as none.
+/// Returns the sequence number of the first record within [`REPLAYED_FOR`]. The steps of a clock that was set do not
+/// add to a record's age.
 fn first_recent(connection: &Connection) -> rusqlite::Result<i64> {
     let mut statement = connection.prepare("SELECT seq, at FROM events ORDER BY seq DESC")?;
     let mut rows = statement.query([])?;
     let (mut first, mut earliest, mut age_ms) = (i64::MAX, milliseconds(now()), 0);
+    // Where the clock was set back, with the age there.
+    let mut set_back = None;
     while let Some(row) = rows.next()? {
         let at: i64 = row.get(1)?;
         if at > earliest + SET_BACK_MS {
+            set_back.get_or_insert((earliest, age_ms));
             earliest = at;
+        } else if let Some((time, age)) = set_back.take_if(|(time, _)| at <= *time) {
+            // Before the clock was set ahead.
+            (earliest, age_ms) = (at, age + time - at);
         } else if at < earliest {
             age_ms += earliest - at;
             earliest = at;

@@ -105,7 +105,7 @@ async fn requests_keep_the_order_of_their_records_when_a_clock_is_set_back() {
 }
 
 #[tokio::test]
-async fn requests_of_hours_are_old_though_a_clock_was_set_back() {
+async fn old_requests_expire_after_the_clock_was_set_back() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
     let now = Timestamp::now().as_millisecond();
@@ -119,6 +119,21 @@ async fn requests_of_hours_are_old_though_a_clock_was_set_back() {
     let (_, recovered) = directory.open();
     let ids: Vec<_> = recovered.requests.iter().map(|request| request.command.id).collect();
     assert_eq!(ids, [id(59), id(60)]);
+}
+
+#[tokio::test]
+async fn recent_requests_stand_after_the_clock_was_ahead() {
+    let directory = Directory::new();
+    let (journal, _) = directory.open();
+    let now = Timestamp::now().as_millisecond();
+    for (number, at) in [(1, now - 700_000), (2, now - 120_000), (3, now + 36_000_000), (4, now - 60_000)] {
+        record(&journal, admitted(at, "left", number, None));
+    }
+    journal.close().await.unwrap();
+    drop(journal);
+    let (_, recovered) = directory.open();
+    let ids: Vec<_> = recovered.requests.iter().map(|request| request.command.id).collect();
+    assert_eq!(ids, [id(2), id(3), id(4)]);
 }
 
 #[tokio::test]
