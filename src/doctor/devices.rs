@@ -45,7 +45,7 @@ async fn check_one(running: &GatewayState, gripper: &GripperConfig) -> Diagnosis
             let is_good = served.severity == Severity::Good;
             if is_good { served } else { of_interface().unwrap_or(served) }
         }
-        GatewayState::Silent => of_interface().unwrap_or_else(|| {
+        GatewayState::Silent | GatewayState::Uncertain => of_interface().unwrap_or_else(|| {
             Diagnosis::good(CHECK, format_args!("{name} not contacted, because a running gateway may use it"))
         }),
         GatewayState::No | GatewayState::Other { .. } => match of_interface() {
@@ -59,19 +59,19 @@ async fn check_one(running: &GatewayState, gripper: &GripperConfig) -> Diagnosis
 fn of_running(name: &Name, address: &Address, grippers: &[ServedGripper]) -> Diagnosis {
     let Some(ServedGripper { url, link, link_cause, .. }) = grippers.iter().find(|served| served.gripper == *name)
     else {
-        return Diagnosis::warning(CHECK, format_args!("the running gateway does not have {name} yet: reload it"));
+        return Diagnosis::warning(
+            CHECK,
+            format_args!("the running gateway does not have {name} yet: reload the gateway"),
+        );
     };
     if *url != address.to_string() {
-        let text = format!("the running gateway has {name} at {url}, not at {address}: reload it");
+        let text = format!("the running gateway has {name} at {url}, not at {address}: reload the gateway");
         return Diagnosis::warning(CHECK, text);
     }
     let cause = link_cause.as_ref().map(|cause| format!(": {cause}")).unwrap_or_default();
     match link.as_str() {
         "connected" => Diagnosis::good(CHECK, format_args!("{name} is connected to the running gateway")),
-        "released" => {
-            let text = format!("{name} was released by a client{cause}: send POST /api/v1/grippers/{name}/connect");
-            Diagnosis::warning(CHECK, text)
-        }
+        "released" => Diagnosis::warning(CHECK, format_args!("{name} was released{cause}")),
         _ => {
             let text = format!("{name}: {link}{cause}: see the guide on operation, Link causes");
             Diagnosis::problem(CHECK, text)

@@ -2,13 +2,20 @@
 
 use std::net::{SocketAddr, TcpListener, UdpSocket};
 
+use super::running::GatewayState;
 use super::{Diagnosis, Installation};
 use crate::config::WsgAddress;
 use crate::interfaces::sockets::remedy;
 
 pub(super) fn check(installation: &Installation) -> Vec<Diagnosis> {
-    if installation.running.is_ours() {
-        return vec![Diagnosis::good("ports", "in use by this gateway, which is running")];
+    match installation.running {
+        GatewayState::Silent | GatewayState::Answers { .. } => {
+            return vec![Diagnosis::good("ports", "in use by this gateway, which is running")];
+        }
+        GatewayState::Uncertain => {
+            return vec![Diagnosis::good("ports", "not checked, because this gateway may be running")];
+        }
+        GatewayState::No | GatewayState::Other { .. } => {}
     }
     let config = &installation.config;
     let mut findings = vec![tcp("--listen", config.listen)];

@@ -24,8 +24,10 @@ const MAX_BYTES: u64 = 4 << 20;
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum GatewayState {
     No,
-    /// The journal or the address is in use, but the gateway does not report its readiness to this program.
+    /// The journal is in use, but the gateway does not report its readiness to this program.
     Silent,
+    /// A program that may be this gateway uses the address, and the journal tells nothing.
+    Uncertain,
     Answers {
         grippers: Vec<ServedGripper>,
     },
@@ -63,20 +65,15 @@ impl GatewayState {
         }
         let holds_journal = match &config.journal.place {
             JournalPlace::File(path) => journal::is_in_use(path),
-            JournalPlace::Memory => false,
+            JournalPlace::Memory => None,
         };
-        match name {
-            _ if holds_journal => Self::Silent,
-            Some(name) => Self::Other { name },
-            // The journal of another user's gateway cannot be found.
-            None if is_guarded(config) && is_served(config.listen).await => Self::Silent,
-            None => Self::No,
+        match (name, holds_journal) {
+            (_, Some(true)) => Self::Silent,
+            (Some(name), _) => Self::Other { name },
+            // A gateway that runs as another user has its journal elsewhere.
+            (None, None) if is_guarded(config) && is_served(config.listen).await => Self::Uncertain,
+            (None, _) => Self::No,
         }
-    }
-
-    /// Whether the gateway of this configuration runs.
-    pub(super) fn is_ours(&self) -> bool {
-        matches!(self, Self::Silent | Self::Answers { .. })
     }
 }
 
@@ -93,6 +90,13 @@ pub(super) fn check(installation: &Installation) -> Vec<Diagnosis> {
             format_args!(
                 "a gateway uses the journal, but does not answer at {listen}: if it runs with other settings, pass \
                  them to doctor too; otherwise read its log"
+            ),
+        ),
+        GatewayState::Uncertain => Diagnosis::warning(
+            "gateway",
+            format_args!(
+                "a program answers at {listen}: if it is {name}, run doctor as its user and with its STATE_DIRECTORY; \
+                 otherwise stop it"
             ),
         ),
         GatewayState::Answers { .. } => Diagnosis::good("gateway", format_args!("{name} is running at {listen}")),

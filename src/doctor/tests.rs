@@ -111,6 +111,23 @@ async fn taken_port_is_named() {
 }
 
 #[tokio::test]
+async fn program_that_may_be_the_gateway_is_not_taken_for_it() {
+    let (place, taken) = (Place::new(), TcpListener::bind("127.0.0.1:0").unwrap());
+    let address = taken.local_addr().unwrap().to_string();
+    let tokens = Some(place.file("tokens.json", 0o600, "[]"));
+    let guarded = Flags { listen: Some(address.clone()), tokens, ..place.flags("sim://wsg50") };
+    // Without a lock file, the journal tells nothing.
+    let uncertain = findings(&guarded).await;
+    let warns = |finding: &&Diagnosis| finding.severity == Severity::Warning && finding.check == "gateway";
+    assert!(
+        uncertain.iter().any(|finding| warns(&finding) && finding.text.contains("a program answers")),
+        "{uncertain:#?}"
+    );
+    place.file("journal.db-lock", 0o600, "");
+    assert_problem(&guarded, "ports", &[&address, "stop the program that listens there"]).await;
+}
+
+#[tokio::test]
 async fn missing_can_interface_is_named() {
     let place = Place::new();
     assert_problem(&place.flags("can://can9"), "gripper", &["left at can://can9", "can9 cannot be opened"]).await;

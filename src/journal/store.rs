@@ -266,11 +266,11 @@ fn lock_file(path: &Path) -> io::Result<PathBuf> {
     Ok(name.into())
 }
 
-/// Whether a gateway uses the journal at this moment.
+/// Whether a gateway uses the journal at this moment; `None` if its lock file cannot be opened.
 #[must_use]
-pub fn is_in_use(path: &Path) -> bool {
-    let lock = lock_file(path).and_then(File::open);
-    lock.is_ok_and(|lock| matches!(lock.try_lock_shared(), Err(TryLockError::WouldBlock)))
+pub fn is_in_use(path: &Path) -> Option<bool> {
+    let lock = lock_file(path).and_then(File::open).ok()?;
+    Some(matches!(lock.try_lock_shared(), Err(TryLockError::WouldBlock)))
 }
 
 /// Resolves all links to the file, because SQLite writes to their target. The file need not exist yet.

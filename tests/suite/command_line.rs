@@ -243,15 +243,18 @@ async fn doctor_asks_the_running_gateway_about_its_grippers() {
     let g = format!("g=tcp://{}", device.address);
     assert!(doctor(&g).await.contains("ok       gripper        g is connected to the running gateway"));
     for (gripper, expected) in [
-        (g.replace("g=", "h="), "the running gateway does not have h yet: reload it"),
-        ("g=tcp://127.0.0.1:1".to_owned(), "not at tcp://127.0.0.1:1: reload it"),
+        (g.replace("g=", "h="), "the running gateway does not have h yet: reload the gateway"),
+        ("g=tcp://127.0.0.1:1".to_owned(), "not at tcp://127.0.0.1:1: reload the gateway"),
     ] {
         let said = doctor(&gripper).await;
         assert!(said.contains("warning  gripper") && said.contains(expected), "{said}");
     }
     gateway.post("disconnect", &json!({})).await.ok();
     let said = doctor(&g).await;
-    assert!(said.contains("warning  gripper        g was released by a client"), "{said}");
+    assert!(
+        said.contains("warning  gripper        g was released: by http:127.0.0.1; a `connect` request restores"),
+        "{said}"
+    );
 }
 
 #[tokio::test]

@@ -85,10 +85,10 @@ async fn backup_of_a_journal_in_use_is_complete() {
 #[tokio::test]
 async fn journal_in_use_is_known() {
     let directory = Directory::new();
-    assert!(!is_in_use(&directory.journal()));
+    assert_eq!(is_in_use(&directory.journal()), None);
     let (journal, _) = directory.open();
-    assert!(is_in_use(&directory.journal()));
+    assert_eq!(is_in_use(&directory.journal()), Some(true));
     journal.close().await.unwrap();
     drop(journal);
-    assert!(!is_in_use(&directory.journal()));
+    assert_eq!(is_in_use(&directory.journal()), Some(false));
 }
