@@ -74,7 +74,10 @@ impl RunningGrippers {
             let name = gripper.name.clone();
             let old = find(before, &name);
             if old.as_ref().is_none_or(|old| old.device != gripper.device) {
-                check_device(gripper, before, &changes.removed)?;
+                // Added grippers start after the others have left their devices.
+                if old.is_some() {
+                    check_device(gripper, before, &changes.removed)?;
+                }
                 changes.connectors.insert(name.clone(), connector(gripper)?);
             }
             match old {
@@ -147,18 +150,18 @@ impl RunningGrippers {
     }
 }
 
-/// Checks that a new device is not in use by another gripper that stays. Both would change at the same time, and
-/// connect to one device.
+/// Checks that no other gripper that stays has a changed gripper's new device. Both would change at the same time, and
+/// be connected to one device.
 fn check_device(gripper: &GripperConfig, before: &Config, removed: &[Name]) -> Result<(), ConfigError> {
     let DeviceSource::At(address) = &gripper.device else { return Ok(()) };
     let stays = |other: &&GripperConfig| other.name != gripper.name && !removed.contains(&other.name);
     for other in before.grippers.iter().filter(stays) {
         let DeviceSource::At(used) = &other.device else { continue };
-        if let Some(why) = address.conflict_with(used) {
+        if address.conflict_with(used).is_some() {
             let (name, other) = (&gripper.name, &other.name);
             let detail = format!(
-                "{name} cannot take {address} over from {other} in one reload ({why}): restart the gateway, or first \
-                 remove {other} and reload"
+                "{name} cannot use {address} yet, because {other} uses that device until this reload: restart the \
+                 gateway, or first remove {other} and reload"
             );
             return Err(ConfigError::at(&gripper.place, detail));
         }

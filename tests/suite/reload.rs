@@ -121,19 +121,23 @@ async fn changed_device_is_left_cleanly() {
 }
 
 #[tokio::test]
-async fn device_passes_to_another_gripper_once_its_own_is_removed() {
+async fn device_can_move_after_its_gripper_is_removed() {
     let [first, second] = [Simulator::start(&[]).await, Simulator::start(&[]).await];
     let at = |name: &str, device: &Simulator| format!("[grippers.{name}]\nurl = \"tcp://{}\"\n", device.address);
     let one = Configured::start(&[at("g", &first), at("h", &second)].concat()).await;
     one.gateway.until_link("connected").await;
     let swapped = [at("g", &second), at("h", &first)].concat();
     let refused = one.try_reload(&swapped).await.problem(409, "invalid_configuration");
-    let expected = format!("g cannot take tcp://{} over from h in one reload", second.address);
+    let expected = format!("g cannot use tcp://{} yet, because h uses that device", second.address);
     assert!(refused["detail"].as_str().unwrap().contains(&expected), "{refused}");
     assert_eq!(one.reload(&at("g", &first)).await, json!(["gripper h: removed"]));
     assert_eq!(one.reload(&at("g", &second)).await, json!(["gripper g: changed"]));
     assert_eq!(one.reload(&swapped).await, json!(["gripper h: added"]));
     one.gateway.until_link("connected").await;
+    // An added gripper can have the device that another leaves.
+    assert_eq!(one.reload(&at("g", &second)).await, json!(["gripper h: removed"]));
+    let passed_on = [at("g", &first), at("k", &second)].concat();
+    assert_eq!(one.reload(&passed_on).await, json!(["gripper k: added", "gripper g: changed"]));
 }
 
 #[tokio::test]
