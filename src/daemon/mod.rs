@@ -159,14 +159,18 @@ impl RunningGateway {
         self.draining.cancel();
         self.grippers.drain().await;
         self.shutdown.cancel();
-        let Reloader { ports, modbus, listener, .. } = reloader?;
-        drop(listener);
+        let (ports, modbus, failure) = match reloader {
+            Ok(Reloader { ports, modbus, .. }) => (Some(ports), modbus, None),
+            Err(failure) => (None, None, Some(failure)),
+        };
         self.server.await?;
         if let Some(zenoh) = self.zenoh {
             zenoh.await?;
         }
         self.webhooks.ended().await;
-        ports.ended().await?;
+        if let Some(ports) = ports {
+            ports.ended().await?;
+        }
         if let Some(modbus) = modbus {
             modbus.ended().await?;
         }
@@ -174,7 +178,8 @@ impl RunningGateway {
             withdrawn.await?;
         }
         self.audit.write_down();
-        Ok(self.journal.close().await?)
+        self.journal.close().await?;
+        failure.map_or(Ok(()), |failure| Err(failure.into()))
     }
 }
 
