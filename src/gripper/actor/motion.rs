@@ -21,11 +21,13 @@ impl Actor {
         let Some(running) = self.motion.due(now.instant) else { return };
         let id = running.id;
         match running.motion {
-            Motion::Grip { force: Some(force), .. } if self.motion.is_late(now.instant).is_none() => {
+            Motion::Grip { force: Some(force), .. }
+                if self.motion.is_late(now.instant).is_none() && self.check_stopped().is_ok() =>
+            {
                 let sent = self.link.submit(now, Command::SetForceLimit(force), Purpose::Force(id, force));
                 self.set_stage(now, id, sent.map(Stage::Force));
             }
-            // Refuses a late motion.
+            // Refuses a motion that may not start.
             _ => self.start_motion(now, id),
         }
     }
