@@ -274,7 +274,7 @@ class Example:
 
     def arm(self):
         self.buttons.update(bStart=False, bPlaced=False)
-        self.plc.until(lambda: self.program["barmed"], "both signals have been FALSE")
+        self.plc.until(lambda: self.program["bstartarmed"] and self.program["bplacedarmed"], "new signals count")
 
     def stays(self, step, motions, why):
         """Expects that the step stays for a while, and that no motion begins."""
@@ -309,22 +309,23 @@ def example(plc):
 
 
 def example_with_stop(plc):
-    """After an alarm, and while the Stop button is held, no motion begins, and no part is released."""
+    """After an alarm or a Stop, and while the Stop button is held, no motion begins, and no part is released."""
     program, one = plc.program, Example(plc)
     one.until(30, bStart=True)
-    one.until(90, bStart=False, bStopButton=True, bPlaced=True, alarm=0x0304)
-    one.press("bReleaseButton")
-    one.stays(90, [1, 3], "the release button waits for the end of the Stop")
+    one.buttons.update(bStart=False, bStopButton=True, bPlaced=True)
+    one.stays(30, [1, 3], "no part is released while the Stop button is held")
     one.buttons.update(bStopButton=False)
-    one.press("bAckButton")
-    one.until(30, alarm=0x0304)
-    one.stays(30, [1, 3], "the acknowledge button moves nothing, although bPlaced is set")
+    one.stays(30, [1, 3], "nor after it")
     one.arm()
     one.until(0, bPlaced=True)
     plc.gateway.recipe(1, **{**PART, "accept_min_mm": 21})
     one.until(90, bStart=True, bPlaced=False, alarm=0x010B)
     one.press("bAckButton")
     one.stays(90, [1, 3, 4, 3], "a wrong part is not placed")
+    one.buttons.update(bStopButton=True)
+    one.press("bReleaseButton")
+    one.stays(90, [1, 3, 4, 3], "the release button waits for the end of the Stop")
+    one.buttons.update(bStopButton=False)
     one.press("bReleaseButton")
     one.until(0)
     one.stays(0, [1, 3, 4, 3, 4], "no grip begins after an alarm, although bStart is set")
@@ -337,7 +338,16 @@ def example_with_stop(plc):
     one.press("bAckButton")
     one.until(0, alarm=0x0304)
     one.stays(0, [1, 3, 4, 3, 4, 3], "no motion begins while the Stop button is held")
-    one.until(0, bStopButton=False, alarm=0x0304)
+    one.buttons.update(bStopButton=False)
+    one.stays(0, [1, 3, 4, 3, 4, 3], "nor after it")
+    one.arm()
+    one.until(30, bStart=True)
+    # The next part waits already, so bStart stays set.
+    one.buttons.update(bStopButton=True)
+    one.stays(30, [1, 3, 4, 3, 4, 3, 3], "the part stays held")
+    one.buttons.update(bStopButton=False)
+    plc.until(lambda: program["bplacedarmed"], "a new signal counts")
+    one.until(0, bPlaced=True)
     one.arm()
     one.until(30, bStart=True)
     # Another client takes the part.
@@ -370,7 +380,7 @@ def random_faults(plc):
     plc.is_connected = plc.writes = True
     buttons.update(bPlaced=False, bStopButton=False, bFastStopInput=False)
     for i in range(60):
-        buttons.update(bStart=program["barmed"], bAckButton=i % 4 == 0, bReleaseButton=i % 4 == 2)
+        buttons.update(bStart=program["bstartarmed"], bAckButton=i % 4 == 0, bReleaseButton=i % 4 == 2)
         plc.wait(0.1)
         if program["nstep"] == 30 and not program["balarm"]:
             return
