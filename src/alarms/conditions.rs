@@ -33,7 +33,7 @@ pub(super) fn of_wear(gripper: &Name, wear: &Wear, conditions: &mut Conditions) 
     }
 }
 
-/// Adds the conditions of a gripper. Shortly after its start, it has not had the time to connect.
+/// Adds the conditions of a gripper. One that has only just begun to connect raises no alarm for its link.
 pub(super) fn of_gripper(state: &State, is_starting: bool, conditions: &mut Conditions) {
     let mut add = |alarm, cause: Option<AlarmCause>| {
         conditions.insert(AlarmKey::of_gripper(alarm, &state.gripper), cause);

@@ -34,8 +34,8 @@ use list::{AlarmChange, AlarmKey, AlarmList, Conditions};
 /// Interval at which conditions are checked. Faults last until a person acts, so none is missed.
 const CHECKED_EVERY: Duration = Duration::from_millis(100);
 
-/// Time within which a device is reached at a start, or after its gripper was added or changed. Before, it raises no
-/// alarm.
+/// Time that the gateway has to reach a device, after a start, a reload or a `connect` request, before an alarm is
+/// raised.
 const REACHED_WITHIN: Duration = Duration::from_secs(3);
 
 /// The alarms of this gateway.
@@ -229,7 +229,7 @@ impl Alarms {
     }
 }
 
-/// Adds the conditions of the grippers. Returns those that have not reached their devices, and since when.
+/// Adds the conditions of the grippers. Returns those that are still connecting, each with the time at which it began.
 fn of_grippers(
     grippers: &Grippers,
     wear: &Wear,

@@ -64,7 +64,7 @@ fn wrong_value_is_named_with_its_line() {
         ),
         (
             "[[clients]]\nname = \"plc\"\naddress = \"192.168.1.10/24\"\nrole = \"stop\"",
-            "gateway.toml:3: \"192.168.1.10/24\" is an address within a network: write 192.168.1.10 for it alone, or \
+            "gateway.toml:3: \"192.168.1.10/24\" is an address with the prefix of a network: write 192.168.1.10 or \
              192.168.1.0/24",
         ),
         ("[[clients]]\nname = \"plc\"\naddress = \"::1\"\nrole = \"boss\"", "gateway.toml:4: unknown variant `boss`"),

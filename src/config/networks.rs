@@ -21,10 +21,10 @@ pub(super) fn parse_network(text: &str) -> Result<IpNet, String> {
         .parse()
         .or_else(|_| text.parse::<IpAddr>().map(IpNet::from))
         .map_err(|_| format!("{text:?} is neither an address nor a network: write 192.168.1.10 or 192.168.1.0/24"))?;
-    // Such a text is easily mistaken for one address.
+    // It looks like one address, but would admit the whole network.
     if network.addr() != network.network() {
         let (address, network) = (network.addr(), network.trunc());
-        return Err(format!("{text:?} is an address within a network: write {address} for it alone, or {network}"));
+        return Err(format!("{text:?} is an address with the prefix of a network: write {address} or {network}"));
     }
     Ok(match network.addr().to_canonical() {
         IpAddr::V4(address) if network.prefix_len() >= 96 => {

@@ -37,8 +37,8 @@ const MAX_CHARTS: usize = 64;
 /// Number of missed records that are read at once.
 const CAUGHT_UP_AT_ONCE: u64 = 1000;
 
-/// Time within which a motion has its record: the slowest takes 42 s (210 mm at 5 mm/s). A record that seems older was
-/// written after the clock was set back.
+/// Longest time from the start of a motion to its record: the slowest motion takes 42 s (210 mm at 5 mm/s). If a motion
+/// seems to have begun earlier before the mount, the clock was set back.
 const RECORDED_WITHIN: SignedDuration = SignedDuration::from_mins(2);
 
 /// Wear of all grippers.

@@ -1,8 +1,8 @@
 //! The WSG port: the manual's own protocol for several clients at a time, each with its own virtual device.
 //!
 //! `device` is the virtual device, a pure machine. Its parts are `input` (parses requests), `values` (what getters
-//! return), `acknowledge` (the right to clear a FAST STOP, and 24h itself) and `status` (maps refusals to statuses). `client` is the
-//! I/O around the device, `rights` checks the clients' roles, and `refusals` reports what was refused. `tcp` and `udp`
+//! return), `acknowledge` (24h, and the right to it) and `status` (maps refusals to statuses). `client` is the I/O
+//! around the device, `rights` checks the clients' roles, and `refusals` reports what was refused. `tcp` and `udp`
 //! accept clients; `unreachable` notices dead ones.
 //!
 //! A motion takes a free lease, and the client keeps the lease until it announces its disconnect (07h) or is lost. No
