@@ -132,8 +132,8 @@ fn requests(connection: &Connection) -> rusqlite::Result<Vec<PastRequest>> {
     Ok(requests.in_order.into_values().collect())
 }
 
-/// Returns the sequence number of the first record within [`REPLAYED_FOR`]. The steps of a clock that was set do not
-/// add to a record's age.
+/// Returns the sequence number of the first record within [`REPLAYED_FOR`]. Neither a clock that was set back nor a step
+/// ahead that was taken back adds to a record's age.
 fn first_recent(connection: &Connection) -> rusqlite::Result<i64> {
     let mut statement = connection.prepare("SELECT seq, at FROM events ORDER BY seq DESC")?;
     let mut rows = statement.query([])?;
@@ -145,9 +145,9 @@ fn first_recent(connection: &Connection) -> rusqlite::Result<i64> {
         if at > earliest + SET_BACK_MS {
             set_back.get_or_insert((earliest, age_ms));
             earliest = at;
-        } else if let Some((time, age)) = set_back.take_if(|(time, _)| at <= *time) {
+        } else if let Some((time, age)) = set_back.take_if(|(time, _)| at <= *time + SET_BACK_MS) {
             // Before the clock was set ahead.
-            (earliest, age_ms) = (at, age + time - at);
+            (earliest, age_ms) = (at, age_ms.max(age + (time - at).max(0)));
         } else if at < earliest {
             age_ms += earliest - at;
             earliest = at;
