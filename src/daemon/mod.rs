@@ -159,8 +159,9 @@ impl RunningGateway {
         self.draining.cancel();
         self.grippers.drain().await;
         self.shutdown.cancel();
-        let (ports, modbus, failure) = match reloader {
-            Ok(Reloader { ports, modbus, .. }) => (Some(ports), modbus, None),
+        // Drops the listener, so that new clients are refused at once.
+        let (ports, modbus, failure) = match reloader.map(|Reloader { ports, modbus, .. }| (ports, modbus)) {
+            Ok((ports, modbus)) => (Some(ports), modbus, None),
             Err(failure) => (None, None, Some(failure)),
         };
         self.server.await?;
