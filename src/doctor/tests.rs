@@ -114,7 +114,7 @@ async fn taken_port_is_named() {
 async fn program_that_may_be_the_gateway_is_not_taken_for_it() {
     let (place, taken) = (Place::new(), TcpListener::bind("127.0.0.1:0").unwrap());
     let address = taken.local_addr().unwrap().to_string();
-    let tokens = Some(place.file("tokens.json", 0o600, "[]"));
+    let tokens = Some(place.0.join("tokens.json"));
     let guarded = Flags { listen: Some(address.clone()), tokens, ..place.flags("sim://wsg50") };
     // Without a lock file, the journal tells nothing.
     let uncertain = findings(&guarded).await;

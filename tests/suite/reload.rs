@@ -138,6 +138,7 @@ async fn device_can_move_after_its_gripper_is_removed() {
     assert_eq!(one.reload(&at("g", &second)).await, json!(["gripper h: removed"]));
     let passed_on = [at("g", &first), at("k", &second)].concat();
     assert_eq!(one.reload(&passed_on).await, json!(["gripper k: added", "gripper g: changed"]));
+    one.gateway.until_link("connected").await;
 }
 
 #[tokio::test]
