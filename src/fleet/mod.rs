@@ -208,7 +208,7 @@ impl Peers {
         let is_complete = self.is_complete();
         let has_open = others.values().any(|stop| !stop.has_arrived());
         if has_open || !is_complete {
-            let repeating = tokio::spawn(self.clone().repeat_fast_stop(begun, payload));
+            let repeating = tokio::spawn(self.clone().repeat_fast_stop(begun, payload, is_complete));
             // The newest task covers all open grippers.
             if let Some(before) = self.repeating().replace(repeating.abort_handle()) {
                 before.abort();
@@ -242,8 +242,9 @@ impl Peers {
         let _ = tokio::time::timeout(FAST_STOP_WAIT, confirmed).await;
     }
 
-    /// Repeats a FAST STOP to gateways that do not know of it, until the gateways of all grippers do.
-    async fn repeat_fast_stop(self: Arc<Self>, begun: Instant, payload: String) {
+    /// Repeats a FAST STOP to gateways that do not know of it, until the gateways of all grippers do. If some may have
+    /// been out of reach, others can still appear after the network is connected.
+    async fn repeat_fast_stop(self: Arc<Self>, begun: Instant, payload: String, was_complete: bool) {
         // A gripper of `arrived` can have been acknowledged since.
         let (mut arrived, mut open) = (BTreeSet::new(), BTreeSet::new());
         let repeated = async {
@@ -252,7 +253,7 @@ impl Peers {
                 let stops = self.others().stops_since(begun);
                 arrived.extend(stops.iter().filter(|(_, stop)| stop.has_arrived()).map(|(name, _)| name.clone()));
                 open = stops.keys().filter(|name| !arrived.contains(*name)).cloned().collect();
-                if open.is_empty() && self.is_complete() {
+                if open.is_empty() && was_complete {
                     return;
                 }
                 let is_missed = |name: &&(Name, Name)| stops.get(name) == Some(&PeerStop::Unknown { is_missed: true });
@@ -265,7 +266,8 @@ impl Peers {
                 self.ask_states();
             }
         };
-        if tokio::time::timeout(REPEATED_FOR, repeated).await.is_err() {
+        let is_over = tokio::time::timeout(REPEATED_FOR, repeated).await.is_err();
+        if is_over && !(open.is_empty() && self.is_complete()) {
             let cause = self.cause.borrow().clone();
             tracing::error!(
                 ?open,
