@@ -41,6 +41,9 @@ const KNOWN_AFTER: Duration = Duration::from_secs(2);
 /// Maximum age of the last update for the device to count as heard.
 const HEARD_WITHIN: Duration = Duration::from_millis(300);
 
+/// Time after a motion's end for which the gateway may count the fingers as moving.
+const RESTS_AFTER: Duration = Duration::from_millis(300);
+
 /// Time after a stream request during which a lost holder may count as steering. A stream is live for 1 s after its
 /// last request, and a lease that expires counts as lost at its last use.
 const STREAM_LASTS: Duration = Duration::from_secs(1).saturating_add(DEFAULT_TTL);
@@ -76,6 +79,8 @@ struct Fingers {
     since: Option<(bool, Instant)>,
     reported_moving: Option<bool>,
     runs: bool,
+    /// Time at which the end of the last command was noticed.
+    ended: Option<Instant>,
     /// Time of the last stream request.
     streamed: Option<Instant>,
 }
@@ -368,7 +373,8 @@ impl Leases {
         Self::notice_claim(world);
         let before = world.leases.open.len();
         world.leases.open.retain(|ticket| ticket.now().phase == Phase::Running);
-        if world.leases.open.len() < before || std::mem::take(&mut world.leases.is_answered) {
+        let is_answered = std::mem::take(&mut world.leases.is_answered);
+        if world.leases.open.len() < before || is_answered {
             if let Some(current) = &mut world.leases.current {
                 current.used = world.now;
             }
@@ -451,7 +457,9 @@ impl Leases {
         let is_heard = sends_flags && state.updated_at.is_some_and(|at| world.now < at + HEARD_WITHIN);
         let reported = state.moving.filter(|_| state.moving == fingers.reported_moving);
         // If the link was lost or the device is silent, the last motion may continue.
-        let stands = !fingers.runs && state.command.is_none() && has_link(&state) && is_heard;
+        // Just after a motion's end, the flags can be older than the end.
+        let has_rested = fingers.ended.is_none_or(|at| world.now >= at + RESTS_AFTER);
+        let stands = !fingers.runs && has_rested && state.command.is_none() && has_link(&state) && is_heard;
         let is_steered = fingers.streamed.is_some_and(|at| world.now < at + STREAM_LASTS);
         match (moves && is_long && is_heard, reported) {
             (true, _) => Some(true),
@@ -472,6 +480,9 @@ impl Leases {
         let state = world.watches.state.borrow();
         let fingers = &mut world.leases.fingers;
         fingers.reported_moving = state.moving;
+        if fingers.runs && state.command.is_none() {
+            fingers.ended = Some(world.now);
+        }
         fingers.runs = state.command.is_some();
         if fingers.since.is_none_or(|(before, _)| before != moves) {
             fingers.since = Some((moves, world.now));
