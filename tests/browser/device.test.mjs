@@ -85,7 +85,7 @@ test('settings are read again when a device returns, and a new tag is shown ever
   await until('the settings are read', () => reads > 0);
   await served.ask('PUT', 'grippers/left/settings/device-tag', { tag: 'cell 7' });
   await page.waitForSelector('section[aria-labelledby=device-title] dd:has-text("cell 7")');
-  assert.equal(await page.inputValue('#tag'), 'cell 7');
+  await until('the field shows the tag', async () => (await page.inputValue('#tag')) === 'cell 7');
   device.child.kill('SIGSTOP');
   await page.waitForSelector('.alarm-badge:has-text("1 alarm")');
   const before = reads;

@@ -180,6 +180,32 @@ test('a late answer about the lease does not hide a request for control', async 
   assert.equal(await anna.page.locator(notice).count(), 1);
 });
 
+test('a late answer about a setting does not replace the value that another client has set meanwhile', async () => {
+  const served = await gateway({ more: ['--gripper', 'left=sim://wsg50'] });
+  const visitor = await visit(launched, served, { path: '/#/left/device' });
+  const { page } = visitor;
+  const passLate = [];
+  await filtered(page, {
+    toPage: (_message, pass, request) => {
+      if (request?.method !== 'settings.device-tag') return true;
+      passLate.push(pass);
+      return false;
+    },
+  });
+  await page.reload();
+  await until('the tag is answered', () => passLate.length > 0);
+  const set = (setting, value) => served.ask('PUT', `grippers/left/settings/${setting}`, value);
+  const shows = (field, text) => until(`${field} shows ${text}`, async () => (await page.inputValue(field)) === text);
+  await set('device-tag', { tag: 'cell 7' });
+  await shows('#tag', 'cell 7');
+  passLate.forEach((pass) => pass());
+  // The page takes messages in their order.
+  await set('acceleration', { acceleration_mm_s2: 700 });
+  await shows('#acceleration-acceleration_mm_s2', '700');
+  assert.equal(await page.inputValue('#tag'), 'cell 7');
+  assertClean(visitor);
+});
+
 test('releasing a jog after a forced take does not stop the new holder', async () => {
   const served = await gateway();
   const { page } = await visit(launched, served);

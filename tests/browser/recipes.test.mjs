@@ -100,7 +100,7 @@ test('limits are proposed from grips, and a change in between is not overwritten
   await page.click('.recipe[data-recipe="3"] [data-act="recipe.edit"]');
   await fill(page, { description: 'ring' });
   await page.click('#recipe-save');
-  await page.waitForSelector('.recipe[data-recipe="3"]:has-text("ring")');
+  await page.waitForSelector('.recipe[data-recipe="3"]:has-text("· ring")');
   const { description, accept_max_mm: limit } = await served.ask('GET', 'recipes/ring');
   assert.deepEqual([description, limit], ['ring', 26.125]);
   assertClean(visitor);

@@ -61,7 +61,7 @@ async function takeHandedOver(one, holder) {
 }
 
 function takeSetting(event, one) {
-  one.takeSettings(event.setting === 'soft_limits_cleared' ? { ...event, minus_mm: null, plus_mm: null } : event);
+  one.askingSettings()(event.setting === 'soft_limits_cleared' ? { ...event, minus_mm: null, plus_mm: null } : event);
   // Without overdrive, the device reduces a force limit above the nominal force. No event reports this.
   if (event.setting === 'overdrive') learnSettings(one, ['force-limit']);
   if (event.setting === 'device_tag') learn(one);

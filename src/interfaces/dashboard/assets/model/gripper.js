@@ -19,7 +19,7 @@ const SETTINGS = ['acceleration_mm_s2', 'force_n', 'minus_mm', 'plus_mm', 'tag']
 
 export class Gripper {
   #readAt = -Infinity;
-  #answers = { info: ordered(), lease: ordered() };
+  #answers = Object.fromEntries(['info', 'lease', ...SETTINGS].map((field) => [field, ordered()]));
 
   constructor(name) {
     this.name = name;
@@ -138,17 +138,23 @@ export class Gripper {
     else this.samples.gap();
   }
 
-  /** Takes the settings in an answer or an event. An event also names the subject. */
-  takeSettings(settings) {
-    const [known, by] = [this.settings.peek(), this.setBy.peek()];
-    const fields = SETTINGS.filter((field) => field in settings);
-    // An unchanged value keeps its subject.
-    const who = settings.subject ? person(settings.subject, settings.label) : null;
-    const whose = (field) => who ?? (settings[field] === known[field] ? by[field] : null) ?? null;
-    batch(() => {
-      this.setBy.value = { ...by, ...Object.fromEntries(fields.map((field) => [field, whose(field)])) };
-      this.settings.value = { ...known, ...Object.fromEntries(fields.map((field) => [field, settings[field]])) };
-    });
+  /**
+   * As `asking`, for a request whose answer has settings. An event counts as a request that is answered at once: it is
+   * newer than the answers still to come. An event also names the subject.
+   */
+  askingSettings() {
+    const isNewest = Object.fromEntries(SETTINGS.map((field) => [field, this.#answers[field]()]));
+    return (settings) => {
+      const [known, by] = [this.settings.peek(), this.setBy.peek()];
+      const fields = SETTINGS.filter((field) => field in settings && isNewest[field]());
+      // An unchanged value keeps its subject.
+      const who = settings.subject ? person(settings.subject, settings.label) : null;
+      const whose = (field) => who ?? (settings[field] === known[field] ? by[field] : null) ?? null;
+      batch(() => {
+        this.setBy.value = { ...by, ...Object.fromEntries(fields.map((field) => [field, whose(field)])) };
+        this.settings.value = { ...known, ...Object.fromEntries(fields.map((field) => [field, settings[field]])) };
+      });
+    };
   }
 
   show() {

@@ -191,19 +191,13 @@ export const read = (method, one, params = {}) => inTurn(() => rpc.call(method, 
 
 /** Fetches what a state does not contain: limits, and the terms of the lease. */
 export function learn(one) {
-  const fetch = (field) =>
-    inTurn(() => {
-      const take = one.asking(field);
-      return rpc.call(field, { gripper: one.name }).then(take);
-    });
-  return Promise.allSettled(['info', 'lease'].map(fetch));
+  return Promise.allSettled(['info', 'lease'].map((field) => read(field, one).then(one.asking(field))));
 }
 
 /** Fetches the device's settings; events report later changes. Returns the problem, or null. */
 export async function learnSettings(one, names = ['soft-limits', 'force-limit']) {
-  const answers = await Promise.allSettled(names.map((name) => read(`settings.${name}`, one)));
-  answers.forEach(({ value }) => value && one.takeSettings(value));
-  return answers.find(({ status }) => status === 'rejected')?.reason ?? null;
+  const reads = names.map((name) => read(`settings.${name}`, one).then(one.askingSettings()));
+  return (await Promise.allSettled(reads)).find(({ status }) => status === 'rejected')?.reason ?? null;
 }
 
 /** Updates the connection state and the clock. */

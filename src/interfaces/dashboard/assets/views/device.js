@@ -128,9 +128,10 @@ function Settings({ one }) {
     return answer;
   };
   const send = async (method, fields, read) => {
+    const take = one.askingSettings();
     const answer = await change(method, Object.fromEntries(fields.map(({ key, value }) => [key, read(value.value)])));
     if (!answer) return;
-    one.takeSettings(answer);
+    take(answer);
     fields.forEach(({ key, value }) => {
       value.value = typeof answer[key] === 'number' ? asTyped(answer[key]) : (answer[key] ?? '');
     });
