@@ -255,6 +255,7 @@ export async function homed(page) {
 export async function stopped(page) {
   await page.click('#stop');
   await page.waitForSelector('.alarm-badge.tone-critical');
+  await rendered(page);
   await page.waitForSelector('.notices[data-moved]', { state: 'detached' });
 }
 
@@ -266,6 +267,25 @@ export function rendered(page) {
         requestAnimationFrame(() => setTimeout(resolve));
       }),
   );
+}
+
+/** Replaces a constant in the page's modules, from its next load on. */
+export function altered(page, from, to) {
+  return page.route('**/*.js*', async (route) => {
+    const response = await route.fetch();
+    await route.fulfill({ response, body: (await response.text()).replace(from, to) });
+  });
+}
+
+/** Lets a jog outlast a page that a busy machine delays: its lease lives 1 s otherwise. From the page's next load on. */
+export const patient = (page, ms = 20_000) => altered(page, 'LIVES_MS = 1000', `LIVES_MS = ${ms}`);
+
+/** Repeats a FAST STOP until the page shows that it is confirmed. One that takes longer may be confirmed unnoticed. */
+export function confirmed(page, button, selector) {
+  return until(selector, async () => {
+    await page.click(button);
+    return appears(page, selector, 2000);
+  });
 }
 
 /** Whether an element appears within a time. */

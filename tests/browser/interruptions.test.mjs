@@ -4,12 +4,14 @@ import assert from 'node:assert/strict';
 import { test } from 'node:test';
 
 import {
+  altered,
   assertClean,
   browser,
   controlled,
   gateway,
   homed,
   named,
+  patient,
   rendered,
   simulator,
   until,
@@ -131,11 +133,7 @@ test('a request for control is repeated, and the holder notices its end', async 
     },
   });
   for (const { page } of [anna, ben]) {
-    await page.route('**/*.js*', async (route) => {
-      const response = await route.fetch();
-      const text = await response.text();
-      await route.fulfill({ response, body: text.replace('REPEATED_EVERY_MS = 20_000', 'REPEATED_EVERY_MS = 200') });
-    });
+    await altered(page, 'REPEATED_EVERY_MS = 20_000', 'REPEATED_EVERY_MS = 200');
     await page.reload();
   }
   await controlled(anna.page);
@@ -206,6 +204,56 @@ test('a late answer about a setting does not replace the value that another clie
   assertClean(visitor);
 });
 
+test('a recipe that is changed during the first reading is shown', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  let passFirst = null;
+  let isChanged = false;
+  await filtered(page, {
+    toPage: ({ method, params }, pass, request) => {
+      isChanged ||= method === 'event' && params.kind === 'recipe';
+      if (request?.method !== 'recipes' || passFirst) return true;
+      passFirst = pass;
+      return false;
+    },
+  });
+  await page.reload();
+  await until('the recipes are answered', () => passFirst);
+  await served.ask('PUT', 'recipes/ring', { number: 3, width_mm: 20, speed_mm_s: 200 });
+  await until('the change is reported', () => isChanged);
+  passFirst();
+  await page.waitForSelector('.recipe[data-recipe="3"]');
+  assertClean(visitor);
+});
+
+test('grips are counted on the page even if no shown state reports them', async () => {
+  const served = await gateway({ more: ['--gripper', 'left=sim://wsg50?part_mm=20'] });
+  const visitor = await visit(launched, served, { path: '/#/left/device' });
+  const { page } = visitor;
+  await filtered(page, {
+    // As if each motion ended between two updates of the screen.
+    toPage: ({ method, params, result }, _pass, request) => {
+      const state = method === 'state' ? params : request?.method === 'state' ? result : null;
+      if (state) state.command = null;
+      return true;
+    },
+  });
+  await page.reload();
+  const put = (path, value) => served.ask('PUT', `grippers/left/${path}`, value);
+  const set = '.panel:has(#finger-set-title)';
+  await served.ask('POST', 'grippers/left/home?wait_ms=60000');
+  await put('finger-set', { id: 'F-12', maintenance_cycles: 9 });
+  await page.waitForSelector(`${set} dd:has-text("0 / 9")`);
+  for (const count of [1, 2]) {
+    await served.ask('POST', 'grippers/left/grip?wait_ms=60000', { width_mm: 20, speed_mm_s: 200 });
+    await served.ask('POST', 'grippers/left/release?wait_ms=60000', { width_mm: 40, speed_mm_s: 200 });
+    await page.waitForSelector(`${set} dd:has-text("${count} / 9")`);
+    await page.waitForSelector(`.panel:has(#statistics-title) dd:text-is("${count}")`);
+  }
+  assertClean(visitor);
+});
+
 test('releasing a jog after a forced take does not stop the new holder', async () => {
   const served = await gateway();
   const { page } = await visit(launched, served);
@@ -217,6 +265,7 @@ test('releasing a jog after a forced take does not stop the new holder', async (
       return false;
     },
   });
+  await patient(page);
   await page.reload();
   await homed(page);
   await page.locator('#jog-close').hover();
@@ -245,6 +294,8 @@ test('releasing a jog stops it even if its answer was lost', async () => {
   const device = await simulator();
   const served = await gateway({ more: ['--gripper', `left=${device.url}`] });
   const { page } = await visit(launched, served);
+  await patient(page);
+  await page.reload();
   await homed(page);
   await page.fill('#speed', '5');
   await page.locator('#jog-close').hover();
@@ -266,11 +317,13 @@ async function jogging(filters) {
   const served = await gateway();
   const [anna, ben] = [await visit(launched, served), await visit(launched, served)];
   await filtered(anna.page, filters);
+  await patient(anna.page);
   await anna.page.reload();
   await homed(anna.page);
   await ben.page.click('#ask-control');
   await anna.page.fill('#speed', '5');
   await anna.page.waitForSelector('#hand-over');
+  await rendered(anna.page);
   // A press just after the notice has moved the page is dropped.
   await anna.page.waitForSelector('.notices[data-moved]', { state: 'detached' });
   const state = () => served.ask('GET', 'grippers/left/state');
@@ -281,6 +334,7 @@ async function jogging(filters) {
   // With another finger.
   await anna.page.evaluate(() => document.querySelector('#hand-over').click());
   await ben.page.waitForSelector('.status.tone-mine');
+  await anna.page.waitForSelector('.status.tone-mine', { state: 'detached' });
   const stopped = () =>
     until('the jog is aborted', async () => {
       const { events } = await served.ask('GET', 'events?kind=command&outcome=ABORTED');

@@ -5,7 +5,7 @@ import { isGrip } from '../core/kinds.js';
 import { takeControl } from './commands.js';
 import { noteJournalChange } from './journal.js';
 import { takeRecipeChange } from './recipes.js';
-import { learn, learnSettings, others, read } from './store.js';
+import { ALL_SETTINGS, learn, learnSettings, others, read } from './store.js';
 
 /** Limit of the clients in `others`. */
 const MAX_OTHERS = 32;
@@ -65,7 +65,6 @@ function takeSetting(event, one) {
   // Without overdrive, the device reduces a force limit above the nominal force. No event reports this.
   if (event.setting === 'overdrive') learnSettings(one, ['force-limit']);
   if (event.setting === 'device_tag') learn(one);
-  one.settingsChange.value = event;
 }
 
 /** Fetches what began or ended while the connection was lost. */
@@ -77,6 +76,7 @@ async function catchUpAnswer(one) {
   const request = one.controlRequest;
   if (request === null) return;
   const { holder, requested_by: asks } = await read('lease', one);
+  if (one.controlRequest !== request) return;
   if (asks !== request.as) one.isControlRequested.value = false;
   await takeHandedOver(one, holder);
 }
@@ -95,6 +95,12 @@ async function catchUpCommand(one) {
   else if (isOver) one.command.value = { ...shown, phase: 'done', outcome: 'UNKNOWN' };
 }
 
+/** Notes a new grip record of a gripper, which can be one that this gateway no longer serves. */
+export function takeGrip(one) {
+  noteJournalChange();
+  if (one) one.changes.value += 1;
+}
+
 /** Applies an event that arrived at `at`; `one` is its gripper, if any. */
 export function takeEvent(event, one, at) {
   batch(() => {
@@ -102,6 +108,7 @@ export function takeEvent(event, one, at) {
     if (event.subject) remember(event);
     if (event.kind === 'recipe') takeRecipeChange();
     if (!one) return;
+    one.changes.value += 1;
     if (event.kind === 'command') takeCommand(event, one, at);
     if (event.kind === 'settings') takeSetting(event, one);
     if (event.kind === 'lease') {
@@ -109,6 +116,8 @@ export function takeEvent(event, one, at) {
       learn(one);
       takeAnswer(event, one);
     }
-    if (event.kind === 'link' && event.link === 'connected') Promise.all([learn(one), learnSettings(one)]);
+    // The device can have been restarted, or be another one.
+    if (event.kind === 'link' && event.link === 'connected')
+      Promise.all([learn(one), learnSettings(one, ALL_SETTINGS)]);
   });
 }

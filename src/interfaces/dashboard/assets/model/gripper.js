@@ -36,8 +36,8 @@ export class Gripper {
     this.settings = signal({});
     /** Subject that changed each setting; null if its value was only read. */
     this.setBy = signal({});
-    /** Newest event about a setting. */
-    this.settingsChange = signal(null);
+    /** Number of events and grip records that the page has received about this gripper. */
+    this.changes = signal(0);
     /** Target of a running motion: `{command, kind, width_mm, force_n}`. */
     this.target = signal(null);
     /** Newest command of any client, for the line below the controls. */

@@ -1,6 +1,7 @@
 // The identity and rights of the person at this page.
 
 import { signal } from '../lib.js';
+import { ordered } from '../core/newest.js';
 import { get, remove, send } from '../net/rest.js';
 
 const ASKED_EVERY_MS = 5000;
@@ -11,13 +12,18 @@ export const me = signal(null);
 /** Whether the gateway asks this person to sign in. */
 export const mustSignIn = signal(false);
 
+const asking = ordered();
+
 /** Asks the gateway again. Without an answer, the last one stays. */
 export async function recognize() {
+  const isNewest = asking();
   try {
-    me.value = await get('me');
+    const answer = await get('me');
+    if (!isNewest()) return;
+    me.value = answer;
     mustSignIn.value = false;
   } catch (problem) {
-    if (problem?.code === 'unauthorized') mustSignIn.value = true;
+    if (problem?.code === 'unauthorized' && isNewest()) mustSignIn.value = true;
   }
 }
 

@@ -36,7 +36,7 @@ let isScheduled = false;
 
 /** Notes a change by anybody. Only a page that shows recipes reads them again. */
 export function takeRecipeChange() {
-  if (recipes.peek() === null || isScheduled) return;
+  if ((recipes.peek() === null && reading === null) || isScheduled) return;
   isScheduled = true;
   setTimeout(() => {
     isScheduled = false;

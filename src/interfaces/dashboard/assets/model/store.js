@@ -6,7 +6,7 @@ import { paced } from '../core/paced.js';
 import { Rpc } from '../net/rpc.js';
 import { noteGateway, takeAlarms } from './alarms.js';
 import { keepAsking } from './asking.js';
-import { catchUp, takeEvent } from './events.js';
+import { catchUp, takeEvent, takeGrip } from './events.js';
 import { noteJournalChange } from './journal.js';
 import { recognizeAgain } from './me.js';
 import { myName } from './name.js';
@@ -139,7 +139,7 @@ export const rpc = new Rpc({
     if (method === 'alarms') takeAlarms(params);
     if (method === 'event') takeEvent(params, find(params.gripper), at);
     // Its record is complete about a second after a motion's last event.
-    if (method === 'grip') noteJournalChange();
+    if (method === 'grip') takeGrip(find(params.gripper));
     if (method === 'command' && find(params.gripper)) find(params.gripper).command.value = params;
     // Events were missed, or the configuration has changed.
     if (method === 'gap' || params.event === 'reloaded') subscribe();
@@ -193,6 +193,8 @@ export const read = (method, one, params = {}) => inTurn(() => rpc.call(method, 
 export function learn(one) {
   return Promise.allSettled(['info', 'lease'].map((field) => read(field, one).then(one.asking(field))));
 }
+
+export const ALL_SETTINGS = ['acceleration', 'force-limit', 'soft-limits', 'device-tag'];
 
 /** Fetches the device's settings; events report later changes. Returns the problem, or null. */
 export async function learnSettings(one, names = ['soft-limits', 'force-limit']) {

@@ -1,7 +1,8 @@
 // Small parts of the panels.
 
-import { html } from '../lib.js';
+import { html, useMemo, useSignal } from '../lib.js';
 import { cut } from '../core/bytes.js';
+import { ordered } from '../core/newest.js';
 import { fixed, ofProblem, span, t, time } from '../model/i18n.js';
 import { connection, heardAt, now } from '../model/store.js';
 
@@ -72,6 +73,22 @@ export function ProblemNote({ problem }) {
     </div></div>`
     }
   </div>`;
+}
+
+/**
+ * Signal with the answer to the newest request of a component that was answered. The second value is a function to be
+ * called for each request; its result takes the answer.
+ */
+export function useNewest() {
+  const known = useSignal(null);
+  const asked = useMemo(ordered, []);
+  const asking = () => {
+    const isNewest = asked();
+    return (answer) => {
+      if (isNewest()) known.value = answer;
+    };
+  };
+  return [known, asking];
 }
 
 /** The gateway's limit of a part's id. */

@@ -8,7 +8,8 @@ import { onPress } from './parts.js';
 
 /**
  * Results of FAST STOPs by the name of the gripper, `HERE` or `FLEET`: `{text, isWrong, note}`, with the `id` of a FAST
- * STOP that grippers have not confirmed, and their names as `unconfirmed`.
+ * STOP that grippers have not confirmed, their names as `unconfirmed`, and a function `confirm` for the time when they
+ * have.
  */
 const results = signal(new Map());
 /** All grippers of this gateway, and of all gateways. No gripper has such a name. */
@@ -37,10 +38,12 @@ function hasConfirmed(name, id) {
 }
 
 effect(() => {
-  for (const [whom, { unconfirmed = [], id, note }] of results.value) {
+  for (const [whom, result] of results.value) {
+    const { unconfirmed = [], id } = result;
     const others = unconfirmed.filter((name) => !hasConfirmed(name, id));
-    if (others.length < unconfirmed.length)
-      change(whom, others.length === 0 ? null : { ...notConfirmed(others, id), note });
+    if (others.length === unconfirmed.length) continue;
+    if (others.length === 0) result.confirm();
+    else change(whom, { ...result, ...notConfirmed(others, id) });
   }
 });
 
@@ -76,16 +79,19 @@ async function stopAndReport(send, whom, allText = null) {
       fast_stop_confirmed: isConfirmed,
       fast_stop_id: id,
       gripper: name,
-      confirmed,
+      confirmed = [],
       unconfirmed = [name],
     } = await sent;
-    const result = isConfirmed
-      ? { text: t('stop.confirmed', { reach: name ?? t(allText, { count: confirmed.length }) }) }
-      : notConfirmed(unconfirmed, id);
     const ofFleet = results.peek().get(FLEET);
     const isPart = whom === HERE && hasOthers.peek() && (!ofFleet || ofFleet.isWrong);
-    report(isPart ? { ...result, note: t('stop.not_others') } : result);
-    if (isConfirmed) setTimeout(() => report(null), CONFIRMATION_SHOWN_MS);
+    const note = isPart ? t('stop.not_others') : '';
+    const count = confirmed.length + unconfirmed.length;
+    const confirm = () => {
+      report({ text: t('stop.confirmed', { reach: name ?? t(allText, { count }) }), note });
+      setTimeout(() => report(null), CONFIRMATION_SHOWN_MS);
+    };
+    if (isConfirmed) confirm();
+    else report({ ...notConfirmed(unconfirmed, id), note, confirm });
   } catch (problem) {
     report({ text: of + t('stop.failed', { why: ofProblem(problem) }), isWrong: true });
   }

@@ -4,8 +4,8 @@ import { html, useEffect, useRef, useSignal } from '../lib.js';
 import { accelerationLimits, asTyped, forceLimits, mistake, number, widthLimits } from '../core/limits.js';
 import { fixed, plain, t } from '../model/i18n.js';
 import { ask } from '../model/commands.js';
-import { connection, learnSettings, rpc } from '../model/store.js';
-import { Covered, Panel, Shape } from '../ui/parts.js';
+import { ALL_SETTINGS, connection, learnSettings, rpc } from '../model/store.js';
+import { Covered, Panel, Shape, useNewest } from '../ui/parts.js';
 import { Facts } from './facts.js';
 import { limitsText, NumberField } from './fields.js';
 import { FingerSet } from './finger_set.js';
@@ -106,8 +106,6 @@ function Setting({ one, id, method, name, fields, limits, send, children }) {
   </form>`;
 }
 
-const ALL_SETTINGS = ['acceleration', 'force-limit', 'soft-limits', 'device-tag'];
-
 function Settings({ one }) {
   const acceleration = { ...useDraft(one, 'acceleration_mm_s2'), label: t('settings.acceleration'), unit: 'mm/s²' };
   const force = { ...useDraft(one, 'force_n'), label: t('settings.force_limit'), unit: 'N' };
@@ -181,16 +179,11 @@ function Settings({ one }) {
 }
 
 function Statistics({ one }) {
-  const known = useSignal(null);
+  const [known, asking] = useNewest();
   const isSure = useSignal(false);
   useEffect(() => {
-    rpc.call('statistics', { gripper: one.name }).then(
-      (statistics) => {
-        known.value = statistics;
-      },
-      () => {},
-    );
-  }, [one, one.runs.value, one.settingsChange.value, one.isThere.value, connection.value === 'live']);
+    rpc.call('statistics', { gripper: one.name }).then(asking(), () => {});
+  }, [one, one.changes.value, one.isThere.value, connection.value === 'live']);
   const figures = known.value;
   const good =
     figures && figures.total > 0 ? ((figures.total - figures.no_part - figures.lost_part) / figures.total) * 100 : null;
@@ -200,7 +193,9 @@ function Statistics({ one }) {
       return;
     }
     isSure.value = false;
-    known.value = (await ask(one, 'statistics.reset')) ?? known.value;
+    const take = asking();
+    const answer = await ask(one, 'statistics.reset');
+    if (answer) take(answer);
   };
   return html`<${Panel} title=${t('statistics.title')} id="statistics-title"
       actions=${html`${

@@ -6,7 +6,7 @@ import { askFreely } from '../model/commands.js';
 import { fixed, fullDate, plain, t } from '../model/i18n.js';
 import { mayOperate } from '../model/me.js';
 import { isLive, rpc } from '../model/store.js';
-import { Panel, Shape, within } from '../ui/parts.js';
+import { Panel, Shape, useNewest, within } from '../ui/parts.js';
 import { NumberField } from './fields.js';
 import { Facts } from './facts.js';
 
@@ -19,7 +19,7 @@ const TRAVEL_M = { min: 0.01, max: 1_000_000_000, whose: 'device' };
 /** Text of a count with its unit, and with its limit if there is one. */
 const used = (text, limit, unit) => `${text}${limit === null ? '' : ` / ${plain(limit)}`}${unit}`;
 
-function Form({ one, set, take }) {
+function Form({ one, set, asking }) {
   const id = useSignal(set.id ?? '');
   const cycles = useSignal(asTyped(set.maintenance_cycles));
   const travel = useSignal(asTyped(set.maintenance_travel_m));
@@ -35,6 +35,7 @@ function Form({ one, set, take }) {
       [given().maintenance_travel_m, TRAVEL_M],
     ].some(([value, limits]) => value !== undefined && mistake(value, limits));
   const send = async (reset) => {
+    const take = asking();
     const answer = await askFreely(one, 'finger-set.set', { id: id.peek().trim(), reset, ...given() });
     if (answer) take(answer);
   };
@@ -61,23 +62,13 @@ function Form({ one, set, take }) {
 }
 
 export function FingerSet({ one }) {
-  const known = useSignal(null);
+  const [known, asking] = useNewest();
   useEffect(() => {
-    let isWanted = true;
-    const look = () =>
-      rpc.call('finger-set', { gripper: one.name }).then(
-        (set) => {
-          if (isWanted) known.value = set;
-        },
-        () => {},
-      );
+    const look = () => rpc.call('finger-set', { gripper: one.name }).then(asking(), () => {});
     look();
     const timer = setTimeout(look, COUNTED_WITHIN_MS);
-    return () => {
-      isWanted = false;
-      clearTimeout(timer);
-    };
-  }, [one, one.runs.value, one.settingsChange.value, isLive.value]);
+    return () => clearTimeout(timer);
+  }, [one, one.changes.value, isLive.value]);
   const set = known.value;
   if (!set) return null;
   const facts = [
@@ -86,14 +77,11 @@ export function FingerSet({ one }) {
     ['set.cycles', set.cycles !== null && used(plain(set.cycles), set.maintenance_cycles, '')],
     ['set.travel', set.travel_m !== null && used(fixed(set.travel_m, 1), set.maintenance_travel_m, ' m')],
   ];
-  const take = (answer) => {
-    known.value = answer;
-  };
   // When somebody else changes the set, the form shows the new values.
   const identity = [set.id, set.maintenance_cycles, set.maintenance_travel_m].join();
   return html`<${Panel} title=${t('set.title')} id="finger-set-title">
     ${set.maintenance_due && html`<p class="tone-low"><${Shape} name="low" /> ${t('alarm.maintenance_due')}</p>`}
     <${Facts} facts=${facts.filter(([, value]) => value !== false)} />
-    ${mayOperate(one.name) && html`<${Form} key=${`${one.name}/${identity}`} one=${one} set=${set} take=${take} />`}
+    ${mayOperate(one.name) && html`<${Form} key=${`${one.name}/${identity}`} one=${one} set=${set} asking=${asking} />`}
   </${Panel}>`;
 }
