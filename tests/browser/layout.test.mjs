@@ -35,6 +35,7 @@ for (const [size, shape] of Object.entries(SIZES)) {
     await served.ask('POST', 'grippers/greifer2/fast-stop');
     await page.waitForSelector('[data-notice=asked]');
     await page.waitForSelector('[data-notice=alarm]');
+    await page.waitForSelector('.result');
     await page.evaluate(() => scrollTo(0, 0));
     await shoot(page, `fold-${size}`);
     const hidden = await page.evaluate(() => {

@@ -4,7 +4,19 @@ import assert from 'node:assert/strict';
 import { test } from 'node:test';
 
 import { misfits, violations } from './checks.mjs';
-import { assertClean, browser, controlled, gateway, homed, named, shoot, stopped, until, visit } from './harness.mjs';
+import {
+  assertClean,
+  browser,
+  confirmed,
+  controlled,
+  gateway,
+  homed,
+  named,
+  shoot,
+  stopped,
+  until,
+  visit,
+} from './harness.mjs';
 
 const launched = await browser();
 
@@ -28,8 +40,7 @@ test('STOP shows its reach, and the fleet has its own STOP', async () => {
   assert.match(await text(page, '.stopped'), /other gateways were not stopped/);
   assert.equal((await state(far, 'right')).fast_stop, false);
   assert.match(await text(page, '#stop-fleet'), /all gateways: 2 grippers/);
-  await page.click('#stop-fleet');
-  await page.waitForSelector('.stopped:has-text("confirmed (all gateways: 2 grippers).")');
+  await confirmed(page, '#stop-fleet', '.stopped:has-text("confirmed (all gateways: 2 grippers).")');
   assert.equal((await state(far, 'right')).fast_stop, true);
   await shoot(page, 'fleet-stopped');
   assert.deepEqual([...(await violations(page)), ...(await misfits(page))], []);
@@ -47,7 +58,7 @@ test('Release opens to a width of its own, which the browser remembers', async (
   await page.waitForSelector('[data-outcome=PART_HELD]');
   await page.click('#release:enabled');
   await page.waitForSelector('.last[data-outcome=SUCCESS]:has-text("Release")');
-  assert.ok(Math.abs((await state(served)).width_mm - 30) < 0.1);
+  await until('the fingers are open', async () => Math.abs((await state(served)).width_mm - 30) < 0.1);
   // Never wider than the stroke, and never empty.
   await page.fill('#width', '105');
   assert.equal(await page.inputValue('#open'), '110');
@@ -69,7 +80,7 @@ test('a grip’s result is large beside the jaws', async () => {
   await homed(page);
   await page.click('#grip:enabled');
   await page.waitForSelector('.result[data-result=HOLDING]:has-text("Part held")');
-  assert.match(await text(page, '.result'), /19\.\d mm · \d+\.\d N/);
+  await page.locator('.result', { hasText: /19\.\d mm · \d+\.\d N/ }).waitFor();
   const size = await page.locator('.result').evaluate((one) => Number.parseFloat(getComputedStyle(one).fontSize));
   assert.ok(size >= 20, `${size}`);
   await page.click('#release:enabled');

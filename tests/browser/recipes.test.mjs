@@ -30,7 +30,8 @@ test('a recipe of one browser is a single tap in another', async () => {
   await ben.page.waitForSelector('.result[data-result=HOLDING]:has-text("Part held")');
   await row.locator('[data-act="command.release"]:enabled').click();
   await ben.page.waitForSelector('.last[data-outcome=SUCCESS]:has-text("Release")');
-  assert.ok(Math.abs((await served.ask('GET', 'grippers/left/state')).width_mm - 40) < 0.5);
+  const width = async () => (await served.ask('GET', 'grippers/left/state')).width_mm;
+  await until('the fingers are open', async () => Math.abs((await width()) - 40) < 0.5);
 
   // Another part is expected now, so the held one is wrong, and says so.
   await anna.page.click('.recipe[data-recipe="12"] [data-act="recipe.edit"]');

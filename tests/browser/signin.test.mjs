@@ -6,7 +6,7 @@ import { tmpdir } from 'node:os';
 import { join } from 'node:path';
 import { test } from 'node:test';
 
-import { browser, gateway, started, token, until, visit } from './harness.mjs';
+import { browser, confirmed, gateway, started, token, until, visit } from './harness.mjs';
 
 const launched = await browser();
 
@@ -31,8 +31,7 @@ test('a stranger can only stop and sign in, and an operator operates', async () 
   await signIn(page, 'wsg_wrong');
   await page.waitForSelector('.sign-in [role=alert]');
   assert.equal(await page.locator('.jaws').count(), 0);
-  await page.click('#stop');
-  await page.waitForSelector('.stopped:has-text("FAST STOP confirmed")');
+  await confirmed(page, '#stop', '.stopped:has-text("FAST STOP confirmed")');
   assert.equal((await served.ask('GET', 'grippers/left/state')).fast_stop, true);
   await signIn(page, operator);
   await page.waitForSelector('.jaws');
@@ -49,8 +48,9 @@ test('an observer sees the gripper and no way to move it', async () => {
   const { page } = await visit(launched, served, {});
   await signIn(page, observer);
   await page.waitForSelector('.jaws');
-  // The flags come after the controls.
+  // The flags come after the controls, which are shown until the rights are known.
   await page.waitForSelector('.flags');
+  await page.waitForSelector('.signed-in');
   assert.equal(await page.locator('#take-control, #home, #grip').count(), 0);
 });
 

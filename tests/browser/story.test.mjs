@@ -3,7 +3,7 @@
 import assert from 'node:assert/strict';
 import { test } from 'node:test';
 
-import { assertClean, browser, gateway, homed, shoot, until, visit } from './harness.mjs';
+import { assertClean, browser, gateway, homed, patient, shoot, until, visit } from './harness.mjs';
 
 const launched = await browser();
 
@@ -26,22 +26,24 @@ test('home, grip, hold, stop, see the cause, acknowledge', async () => {
   await page.waitForSelector('.jaws-words[data-state=HOLDING]');
   const state = await served.ask('GET', 'grippers/left/state');
   assert.equal(state.state, 'HOLDING');
-  const shown = Number((await text(page, '.figure-main .figure-value')).replace(/[^\d.]/g, ''));
-  assert.ok(Math.abs(shown - state.width_mm) < 0.02, `${shown} is not ${state.width_mm}`);
-  // The drawn part is as wide as the gap between the jaws: 540 units for 110 mm.
-  const drawn = Number(await page.locator('.jaws .part').getAttribute('width'));
-  assert.ok(Math.abs(drawn - (state.width_mm * 540) / 110) < 1, `${drawn}`);
+  // The gateway's width can still change by the last update of the motion.
+  await until('figure and drawing show the width', async () => {
+    const { width_mm } = await served.ask('GET', 'grippers/left/state');
+    const shown = Number((await text(page, '.figure-main .figure-value')).replace(/[^\d.]/g, ''));
+    // The drawn part is as wide as the gap between the jaws: 540 units for 110 mm.
+    const drawn = Number(await page.locator('.jaws .part').getAttribute('width'));
+    return Math.abs(shown - width_mm) < 0.02 && Math.abs(drawn - (width_mm * 540) / 110) < 1;
+  });
   await shoot(page, 'holding');
 
   await page.click('#stop');
   await page.waitForSelector('#latch-title');
   const stopped = await served.ask('GET', 'grippers/left/state');
   assert.equal(stopped.fast_stop, true);
-  assert.equal(
-    (await served.ask('GET', 'grippers/right/state')).fast_stop_id,
-    stopped.fast_stop_id,
-    'STOP stops all grippers',
-  );
+  await until('STOP stops all grippers', async () => {
+    const { fast_stop_id: id } = await served.ask('GET', 'grippers/right/state');
+    return id === stopped.fast_stop_id;
+  });
   // The browser's name is in the reason, not here.
   assert.equal(stopped.fast_stop_by, 'ws:127.0.0.1');
   assert.match(await text(page, '#latch-by'), /^browser-[0-9a-f]{4} \(127\.0\.0\.1\), this browser$/);
@@ -76,7 +78,7 @@ test('an out-of-range value is not sent, and its field shows the limit', async (
   const visitor = await visit(launched, served);
   const { page } = visitor;
   await homed(page);
-  assert.match(await text(page, '#width-hint'), /0 – 110 mm/);
+  await page.waitForSelector('#width-hint:has-text("0 – 110 mm")');
   for (const [id, wrong, hint] of [
     ['width', '111', /at most 110/],
     ['speed', '4', /at least 5/],
@@ -107,7 +109,11 @@ test('a jog moves only while it is held', async () => {
   const served = await gateway();
   const visitor = await visit(launched, served);
   const { page } = visitor;
+  await patient(page);
+  await page.reload();
   await homed(page);
+  // Slow enough that four jogs do not reach the end on a busy machine.
+  await page.fill('#speed', '5');
   const state = () => served.ask('GET', 'grippers/left/state');
   const button = page.locator('#jog-close');
   await button.scrollIntoViewIfNeeded();
@@ -150,6 +156,8 @@ test('a jog moves only while it is held', async () => {
 test('earlier taps do not end a held jog', async () => {
   const served = await gateway();
   const { page } = await visit(launched, served);
+  await patient(page, 3000);
+  await page.reload();
   await homed(page);
   await page.waitForSelector('#jog-close:enabled');
   const state = () => served.ask('GET', 'grippers/left/state');
@@ -161,7 +169,7 @@ test('earlier taps do not end a held jog', async () => {
   }
   await page.mouse.down();
   // At 25 mm/s, longer than the lease lives without a renewal.
-  await until('the fingers move while the jog is held', async () => (await state()).width_mm < from - 50);
+  await until('the fingers move while the jog is held', async () => (await state()).width_mm < from - 80);
   assert.equal((await state()).fast_stop, false);
   await page.mouse.up();
   await until('the fingers stand', async () => (await state()).moving === false);
