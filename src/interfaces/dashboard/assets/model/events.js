@@ -108,7 +108,7 @@ export function takeEvent(event, one, at) {
     if (event.subject) remember(event);
     if (event.kind === 'recipe') takeRecipeChange();
     if (!one) return;
-    one.changes.value += 1;
+    if (event.kind === 'command' || event.kind === 'settings') one.changes.value += 1;
     if (event.kind === 'command') takeCommand(event, one, at);
     if (event.kind === 'settings') takeSetting(event, one);
     if (event.kind === 'lease') {

@@ -36,7 +36,7 @@ export class Gripper {
     this.settings = signal({});
     /** Subject that changed each setting; null if its value was only read. */
     this.setBy = signal({});
-    /** Number of events and grip records that the page has received about this gripper. */
+    /** Number of events about motions and settings, and of grip records, that the page has received. */
     this.changes = signal(0);
     /** Target of a running motion: `{command, kind, width_mm, force_n}`. */
     this.target = signal(null);
