@@ -41,6 +41,33 @@ test('focus stays after Take control, a motion and Acknowledge', async () => {
   await page.click('[data-choice=theme-dark]');
   await page.mouse.click(700, 790);
   await page.waitForFunction(() => document.activeElement === document.body);
+  // Not even if the page changes at once.
+  await page.focus('#grip:enabled');
+  const isBody = await page.evaluate(async () => {
+    document.activeElement.blur();
+    document.getElementById('app').append(new Comment());
+    await new Promise((resolve) => {
+      setTimeout(resolve);
+    });
+    return document.activeElement === document.body;
+  });
+  assert.ok(isBody, 'a button that was left gets the focus back');
+  assertClean(visitor);
+});
+
+test('focus comes back when old values are no longer covered', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served);
+  const { page, allowed } = visitor;
+  allowed.connections = true;
+  for (const id of ['take-control', 'width']) {
+    await page.focus(`#${id}`);
+    served.child.kill('SIGSTOP');
+    await page.waitForSelector(`[inert] #${id}`);
+    await page.waitForFunction(() => document.activeElement === document.body);
+    served.child.kill('SIGCONT');
+    await until(`#${id} has the focus again`, async () => (await focused(page)) === id);
+  }
   assertClean(visitor);
 });
 

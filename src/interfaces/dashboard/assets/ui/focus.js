@@ -1,36 +1,45 @@
-// Keeps the keyboard focus in place when the focused button disappears or is disabled, for example "Take control".
+// Keeps the keyboard focus in place when the focused element disappears ("Take control"), is disabled, or is covered
+// with old values.
 
-/** Focused button, and its panel. */
+/** Focused element, and its panel. */
 let last = null;
 let panel = null;
 
-/** Returns the focus to a button that is enabled again, or to the panel's title if the button has disappeared. */
+/** Whether the element lost the focus while it was usable. */
+let isLeft = false;
+
+const isUsable = (one) => !one.matches(':disabled, [inert] *');
+
+/** Returns the focus to an element that is usable again, or to the panel's title if the element has disappeared. */
 function restore() {
   if (last === null || document.activeElement !== document.body) return;
   if (last.isConnected) {
-    if (!last.disabled) last.focus({ preventScroll: true });
+    if (!isLeft && isUsable(last)) last.focus({ preventScroll: true });
   } else if (panel?.isConnected) {
     last = null;
     panel.querySelector('h2')?.focus({ preventScroll: true });
   }
 }
 
-/** Watches all buttons of the page. */
+/** Watches the page. */
 export function keepFocus(app) {
   addEventListener('focusin', ({ target }) => {
-    last = target.closest('button');
+    last = target;
     panel = target.closest('.panel');
+    isLeft = false;
   });
 
   addEventListener('focusout', ({ target }) => {
-    // If the button is still usable, the user has moved the focus. The check waits until the page has changed.
+    if (target !== last || !isUsable(target)) return;
+    isLeft = true;
+    // Either the user has moved the focus, or the page is about to remove the element.
     setTimeout(() => {
-      if (target === last && target.isConnected && !target.disabled) last = null;
+      if (isLeft && target === last && target.isConnected) last = null;
     });
   });
   new MutationObserver(restore).observe(app, {
     subtree: true,
     childList: true,
-    attributeFilter: ['disabled'],
+    attributeFilter: ['disabled', 'inert'],
   });
 }
