@@ -269,18 +269,32 @@ export function rendered(page) {
   );
 }
 
-/** Replaces a constant in the page's modules, from its next load on. */
-export function altered(page, from, to) {
-  return page.route('**/*.js*', async (route) => {
+/** Replaces constants in the page's modules, from its next load on: `changes` are pairs of old and new text. */
+export async function altered(page, ...changes) {
+  const missing = new Set(changes.map(([from]) => from));
+  await page.route('**/*.js*', async (route) => {
     const response = await route.fetch();
-    await route.fulfill({ response, body: (await response.text()).replace(from, to) });
+    let body = await response.text();
+    for (const [from, to] of changes) {
+      if (body.includes(from)) missing.delete(from);
+      body = body.replace(from, to);
+    }
+    await route.fulfill({ response, body });
   });
+  started.push(() => assert.deepEqual([...missing], [], 'replaced in the page'));
 }
 
-/** Lets a jog outlast a page that a busy machine delays: its lease lives 1 s otherwise. From the page's next load on. */
-export const patient = (page, ms = 20_000) => altered(page, 'LIVES_MS = 1000', `LIVES_MS = ${ms}`);
+/** From its next load on, the page's jogs have a lease of `ms` instead of 1 s, so that a busy machine does not end them. */
+export const patient = (page, ms = 20_000, ...changes) =>
+  altered(page, ['LIVES_MS = 1000', `LIVES_MS = ${ms}`], ...changes);
 
-/** Repeats a FAST STOP until the page shows that it is confirmed. One that takes longer may be confirmed unnoticed. */
+/** Lets a page wait longer for an answer that the test keeps back. */
+export const LATE_ANSWERS = ['ANSWERS_WITHIN_MS = 8000', `ANSWERS_WITHIN_MS = ${2 * DEADLINE_MS}`];
+
+/**
+ * Repeats a FAST STOP until the page shows that it is confirmed. A confirmation that comes after the answer is not shown
+ * to a signed-out page or for a fleet.
+ */
 export function confirmed(page, button, selector) {
   return until(selector, async () => {
     await page.click(button);

@@ -11,6 +11,7 @@ import {
   gateway,
   homed,
   named,
+  LATE_ANSWERS,
   patient,
   rendered,
   simulator,
@@ -133,7 +134,7 @@ test('a request for control is repeated, and the holder notices its end', async 
     },
   });
   for (const { page } of [anna, ben]) {
-    await altered(page, 'REPEATED_EVERY_MS = 20_000', 'REPEATED_EVERY_MS = 200');
+    await altered(page, ['REPEATED_EVERY_MS = 20_000', 'REPEATED_EVERY_MS = 200']);
     await page.reload();
   }
   await controlled(anna.page);
@@ -190,6 +191,7 @@ test('a late answer about a setting does not replace the value that another clie
       return false;
     },
   });
+  await altered(page, LATE_ANSWERS);
   await page.reload();
   await until('the tag is answered', () => passLate.length > 0);
   const set = (setting, value) => served.ask('PUT', `grippers/left/settings/${setting}`, value);
@@ -224,6 +226,33 @@ test('a recipe that is changed during the first reading is shown', async () => {
   await until('the change is reported', () => isChanged);
   passFirst();
   await page.waitForSelector('.recipe[data-recipe="3"]');
+  assertClean(visitor);
+});
+
+test('what missed events would have reported is read after a gap', async () => {
+  const served = await gateway({ more: ['--gripper', 'left=sim://wsg50?part_mm=20'] });
+  const visitor = await visit(launched, served, { path: '/#/left/device' });
+  const { page } = visitor;
+  let isGap = false;
+  await filtered(page, {
+    toPage: (message) => {
+      if (!['event', 'grip', 'gap'].includes(message.method)) return true;
+      message.method = 'gap';
+      return isGap;
+    },
+  });
+  await page.reload();
+  const acceleration = '#acceleration-acceleration_mm_s2';
+  await until('the acceleration is shown', async () => (await page.inputValue(acceleration)) !== '');
+  await page.waitForSelector('.panel:has(#statistics-title) dd:text-is("0")');
+  await served.ask('POST', 'grippers/left/home?wait_ms=60000');
+  await served.ask('POST', 'grippers/left/grip?wait_ms=60000', { width_mm: 20, speed_mm_s: 200 });
+  await served.ask('POST', 'grippers/left/release?wait_ms=60000', { width_mm: 40, speed_mm_s: 200 });
+  await served.ask('PUT', 'grippers/left/settings/acceleration', { acceleration_mm_s2: 700 });
+  isGap = true;
+  await served.ask('PUT', 'recipes/ring', { number: 3, width_mm: 20, speed_mm_s: 200 });
+  await until('the acceleration is read', async () => (await page.inputValue(acceleration)) === '700');
+  await page.waitForSelector('.panel:has(#statistics-title) dd:text-is("1")');
   assertClean(visitor);
 });
 
@@ -312,12 +341,12 @@ test('releasing a jog stops it even if its answer was lost', async () => {
   assert.ok((await state()).width_mm > 5, 'stopped on its way');
 });
 
-/** Starts a jog by Anna, whose messages are filtered, with a request for control by Ben. */
-async function jogging(filters) {
+/** Starts a jog by Anna, whose messages are filtered and whose page is changed, with a request for control by Ben. */
+async function jogging(filters, ...changes) {
   const served = await gateway();
   const [anna, ben] = [await visit(launched, served), await visit(launched, served)];
   await filtered(anna.page, filters);
-  await patient(anna.page);
+  await patient(anna.page, 20_000, ...changes);
   await anna.page.reload();
   await homed(anna.page);
   await ben.page.click('#ask-control');
@@ -363,7 +392,7 @@ test('a handed-over jog is cancelled as soon as its id is known', async () => {
     named = pass;
     return false;
   };
-  const { state, stopped, page } = await jogging({ toPage });
+  const { state, stopped, page } = await jogging({ toPage }, LATE_ANSWERS);
   await page.mouse.up();
   assert.equal((await state()).moving, true);
   named();

@@ -5,7 +5,7 @@ import { isGrip } from '../core/kinds.js';
 import { takeControl } from './commands.js';
 import { noteJournalChange } from './journal.js';
 import { takeRecipeChange } from './recipes.js';
-import { ALL_SETTINGS, learn, learnSettings, others, read } from './store.js';
+import { ALL_SETTINGS, grippers, learn, learnSettings, others, read } from './store.js';
 
 /** Limit of the clients in `others`. */
 const MAX_OTHERS = 32;
@@ -95,7 +95,17 @@ async function catchUpCommand(one) {
   else if (isOver) one.command.value = { ...shown, phase: 'done', outcome: 'UNKNOWN' };
 }
 
-/** Notes a new grip record of a gripper, which can be one that this gateway no longer serves. */
+/** Reads again what the missed events may have changed; `subscribe` reads states and settings. */
+export function takeGap() {
+  takeRecipeChange();
+  batch(() =>
+    grippers.peek().forEach((one) => {
+      one.changes.value += 1;
+    }),
+  );
+}
+
+/** Notes a new or changed grip record. `one` is undefined if this gateway no longer serves its gripper. */
 export function takeGrip(one) {
   noteJournalChange();
   if (one) one.changes.value += 1;
@@ -116,7 +126,7 @@ export function takeEvent(event, one, at) {
       learn(one);
       takeAnswer(event, one);
     }
-    // The device can have been restarted, or be another one.
+    // The device may have been restarted, or be another one.
     if (event.kind === 'link' && event.link === 'connected')
       Promise.all([learn(one), learnSettings(one, ALL_SETTINGS)]);
   });

@@ -139,7 +139,7 @@ export class Gripper {
   }
 
   /**
-   * As `asking`, for a request whose answer has settings. An event counts as a request that is answered at once: it is
+   * Like `asking`, for a request whose answer has settings. An event counts as a request that is answered at once: it is
    * newer than the answers still to come. An event also names the subject.
    */
   askingSettings() {

@@ -9,6 +9,9 @@ const READ_AFTER_MS = 200;
 /** The recipes, by number; null until they are known. */
 export const recipes = signal(null);
 
+/** Whether the page shows recipes, or has shown them. */
+let isWanted = false;
+
 /** The reading under way, and whether another one has to follow. */
 let reading = null;
 let isStale = false;
@@ -27,6 +30,7 @@ async function read() {
 
 /** Reads the recipes. Readings follow each other, so that a late answer replaces no newer one. */
 export function loadRecipes() {
+  isWanted = true;
   isStale = true;
   reading ??= read();
   return reading;
@@ -36,7 +40,7 @@ let isScheduled = false;
 
 /** Notes a change by anybody. Only a page that shows recipes reads them again. */
 export function takeRecipeChange() {
-  if ((recipes.peek() === null && reading === null) || isScheduled) return;
+  if (!isWanted || isScheduled) return;
   isScheduled = true;
   setTimeout(() => {
     isScheduled = false;

@@ -6,7 +6,7 @@ import { paced } from '../core/paced.js';
 import { Rpc } from '../net/rpc.js';
 import { noteGateway, takeAlarms } from './alarms.js';
 import { keepAsking } from './asking.js';
-import { catchUp, takeEvent, takeGrip } from './events.js';
+import { catchUp, takeEvent, takeGap, takeGrip } from './events.js';
 import { noteJournalChange } from './journal.js';
 import { recognizeAgain } from './me.js';
 import { myName } from './name.js';
@@ -142,7 +142,10 @@ export const rpc = new Rpc({
     if (method === 'grip') takeGrip(find(params.gripper));
     if (method === 'command' && find(params.gripper)) find(params.gripper).command.value = params;
     // Events were missed, or the configuration has changed.
-    if (method === 'gap' || params.event === 'reloaded') subscribe();
+    if (method === 'gap' || params.event === 'reloaded') {
+      takeGap();
+      subscribe(ALL_SETTINGS);
+    }
   },
 });
 
@@ -157,8 +160,8 @@ const askedHz = signal(null);
 
 const askFor = (max_hz) => rpc.call('subscribe', { topics: ['state', 'events', 'grips', 'alarms'], max_hz });
 
-/** Fetches everything that may have changed, and subscribes to further changes. */
-async function subscribe() {
+/** Fetches what may have changed, with `shownSettings` of the shown gripper, and subscribes to further changes. */
+async function subscribe(shownSettings) {
   recognizeAgain();
   try {
     const begun = rpc.begun();
@@ -177,9 +180,10 @@ async function subscribe() {
     const takes = new Map(grippers.peek().map((one) => [one.name, one.asking('info')]));
     const answer = await rpc.call('grippers');
     answer.grippers.forEach((info) => (takes.get(info.gripper) ?? ensure(info.gripper).asking('info'))(info));
-    const isShown = (one) => one === gripper.peek();
-    const inOrder = [...grippers.peek()].sort((a, b) => isShown(b) - isShown(a));
-    await Promise.all(inOrder.flatMap((one) => [learn(one), learnSettings(one)]));
+    const shown = gripper.peek();
+    const inOrder = [...grippers.peek()].sort((a, b) => (b === shown) - (a === shown));
+    const settings = (one) => learnSettings(one, one === shown ? shownSettings : undefined);
+    await Promise.all(inOrder.flatMap((one) => [learn(one), settings(one)]));
   } catch {
     // The connection has ended, and will be replaced.
   }

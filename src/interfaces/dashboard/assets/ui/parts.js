@@ -76,8 +76,8 @@ export function ProblemNote({ problem }) {
 }
 
 /**
- * Signal with the answer to the newest request of a component that was answered. The second value is a function to be
- * called for each request; its result takes the answer.
+ * Returns a signal and a function. The signal holds the answer to the newest of the component's requests that have been
+ * answered. Call the function for each request; its result takes the answer.
  */
 export function useNewest() {
   const known = useSignal(null);

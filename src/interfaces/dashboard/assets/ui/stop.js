@@ -8,8 +8,8 @@ import { onPress } from './parts.js';
 
 /**
  * Results of FAST STOPs by the name of the gripper, `HERE` or `FLEET`: `{text, isWrong, note}`, with the `id` of a FAST
- * STOP that grippers have not confirmed, their names as `unconfirmed`, and a function `confirm` for the time when they
- * have.
+ * STOP that grippers have not confirmed, their names as `unconfirmed`, and `confirm()`, which shows that all of them
+ * have confirmed it.
  */
 const results = signal(new Map());
 /** All grippers of this gateway, and of all gateways. No gripper has such a name. */

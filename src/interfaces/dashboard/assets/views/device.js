@@ -4,7 +4,7 @@ import { html, useEffect, useRef, useSignal } from '../lib.js';
 import { accelerationLimits, asTyped, forceLimits, mistake, number, widthLimits } from '../core/limits.js';
 import { fixed, plain, t } from '../model/i18n.js';
 import { ask } from '../model/commands.js';
-import { ALL_SETTINGS, connection, learnSettings, rpc } from '../model/store.js';
+import { ALL_SETTINGS, connection, learnSettings, read } from '../model/store.js';
 import { Covered, Panel, Shape, useNewest } from '../ui/parts.js';
 import { Facts } from './facts.js';
 import { limitsText, NumberField } from './fields.js';
@@ -125,13 +125,15 @@ function Settings({ one }) {
     if (answer) note.value = t('settings.done');
     return answer;
   };
-  const send = async (method, fields, read) => {
+  const send = async (method, fields, parse) => {
     const take = one.askingSettings();
-    const answer = await change(method, Object.fromEntries(fields.map(({ key, value }) => [key, read(value.value)])));
+    const answer = await change(method, Object.fromEntries(fields.map(({ key, value }) => [key, parse(value.value)])));
     if (!answer) return;
     take(answer);
+    // Another client can have set a newer value.
+    const known = one.settings.peek();
     fields.forEach(({ key, value }) => {
-      value.value = typeof answer[key] === 'number' ? asTyped(answer[key]) : (answer[key] ?? '');
+      value.value = typeof known[key] === 'number' ? asTyped(known[key]) : (known[key] ?? '');
     });
   };
   const hasOverdrive = one.info.value?.capabilities.includes('overdrive');
@@ -182,7 +184,7 @@ function Statistics({ one }) {
   const [known, asking] = useNewest();
   const isSure = useSignal(false);
   useEffect(() => {
-    rpc.call('statistics', { gripper: one.name }).then(asking(), () => {});
+    read('statistics', one).then(asking(), () => {});
   }, [one, one.changes.value, one.isThere.value, connection.value === 'live']);
   const figures = known.value;
   const good =

@@ -5,7 +5,7 @@ import { asTyped, mistake, typedFrom } from '../core/limits.js';
 import { askFreely } from '../model/commands.js';
 import { fixed, fullDate, plain, t } from '../model/i18n.js';
 import { mayOperate } from '../model/me.js';
-import { isLive, rpc } from '../model/store.js';
+import { isLive, read } from '../model/store.js';
 import { Panel, Shape, useNewest, within } from '../ui/parts.js';
 import { NumberField } from './fields.js';
 import { Facts } from './facts.js';
@@ -64,7 +64,7 @@ function Form({ one, set, asking }) {
 export function FingerSet({ one }) {
   const [known, asking] = useNewest();
   useEffect(() => {
-    const look = () => rpc.call('finger-set', { gripper: one.name }).then(asking(), () => {});
+    const look = () => read('finger-set', one).then(asking(), () => {});
     look();
     const timer = setTimeout(look, COUNTED_WITHIN_MS);
     return () => clearTimeout(timer);
