@@ -31,8 +31,9 @@ test('a stranger can only stop and sign in, and an operator operates', async () 
   await signIn(page, 'wsg_wrong');
   await page.waitForSelector('.sign-in [role=alert]');
   assert.equal(await page.locator('.jaws').count(), 0);
+  await page.click('#stop');
+  await until('the gripper is stopped', async () => (await served.ask('GET', 'grippers/left/state')).fast_stop);
   await confirmed(page, '#stop', '.stopped:has-text("FAST STOP confirmed")');
-  assert.equal((await served.ask('GET', 'grippers/left/state')).fast_stop, true);
   await signIn(page, operator);
   await page.waitForSelector('.jaws');
   assert.match(await page.locator('.signed-in').innerText(), /anna-operator \(operator\)/);
