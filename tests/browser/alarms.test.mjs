@@ -3,7 +3,7 @@
 import assert from 'node:assert/strict';
 import { test } from 'node:test';
 
-import { assertClean, browser, gateway, shoot, simulator, stopped, until, visit } from './harness.mjs';
+import { assertClean, browser, gateway, shoot, simulator, stopped, stopsOnce, until, visit } from './harness.mjs';
 
 const launched = await browser();
 
@@ -13,6 +13,8 @@ test('one STOP of 24 grippers is acknowledged with two clicks, for all browsers'
   const more = Array.from({ length: GRIPPERS }, (_, index) => ['--gripper', `g${index + 1}=sim://wsg50`]).flat();
   const served = await gateway({ more });
   const [anna, ben] = [await visit(launched, served), await visit(launched, served)];
+  await stopsOnce(anna.page);
+  await anna.page.reload();
   await anna.page.waitForSelector('#take-control');
   await anna.page.keyboard.press('Escape');
   for (const { page } of [anna, ben]) await page.waitForSelector(`.alarm-badge:has-text("${GRIPPERS} alarms")`);
@@ -38,6 +40,8 @@ test('a FAST STOP after the list was opened is not acknowledged with it', async 
   const served = await gateway();
   const visitor = await visit(launched, served);
   const { page } = visitor;
+  await stopsOnce(page);
+  await page.reload();
   await page.waitForSelector('#take-control');
   await stopped(page);
   await page.waitForSelector('.alarm-badge:has-text("2 alarms")');

@@ -12,6 +12,7 @@ import {
   rendered,
   simulator,
   slowReads,
+  stopsOnce,
   until,
   visit,
 } from './harness.mjs';
@@ -22,6 +23,8 @@ test('STOP works by key from any view and from a field, and without the WebSocke
   const served = await gateway();
   const visitor = await visit(launched, served);
   const { page } = visitor;
+  await stopsOnce(page);
+  await page.reload();
   await page.waitForSelector('#take-control');
   const latch = async () => (await served.ask('GET', 'grippers/left/state')).fast_stop_id;
   let last = null;

@@ -3,7 +3,7 @@
 import assert from 'node:assert/strict';
 import { test } from 'node:test';
 
-import { assertClean, browser, gateway, homed, patient, shoot, until, visit } from './harness.mjs';
+import { assertClean, browser, gateway, homed, patient, shoot, stopsOnce, until, visit } from './harness.mjs';
 
 const launched = await browser();
 
@@ -13,6 +13,8 @@ test('home, grip, hold, stop, see the cause, acknowledge', async () => {
   const served = await gateway();
   const visitor = await visit(launched, served);
   const { page } = visitor;
+  await stopsOnce(page);
+  await page.reload();
   assert.ok(await page.locator('#home').isDisabled(), 'motion needs control');
   await page.click('#take-control');
   await page.waitForSelector('.why:has-text("Home first")');
