@@ -284,13 +284,13 @@ export async function altered(page, ...changes) {
   started.push(() => assert.deepEqual([...missing], [], 'replaced in the page'));
 }
 
-/** From its next load on, the page's jogs have a lease of `ms` instead of 1 s, so that a busy machine does not end them. */
+/** From its next load on, the page's jogs have a lease of `ms` instead of 1 s: a busy machine does not end them. */
 export const patient = (page, ms = 20_000, ...changes) =>
   altered(page, ['LIVES_MS = 1000', `LIVES_MS = ${ms}`], ...changes);
 
 /**
- * From its next load on, the page repeats a FAST STOP as an HTTP request only after 3 s without a reply, instead of 300 ms.
- * On a busy machine, the repetition would replace the FAST STOP that the test looks at.
+ * From its next load on, the page repeats a FAST STOP as an HTTP request only after 3 s without a reply, instead of
+ * 300 ms. On a busy machine, the repetition would replace the FAST STOP that the test looks at.
  */
 export const stopsOnce = (page) => altered(page, ['here: 300', 'here: 3000']);
 
@@ -298,8 +298,8 @@ export const stopsOnce = (page) => altered(page, ['here: 300', 'here: 3000']);
 export const LATE_ANSWERS = ['ANSWERS_WITHIN_MS = 8000', `ANSWERS_WITHIN_MS = ${2 * DEADLINE_MS}`];
 
 /**
- * Repeats a FAST STOP until the page shows that it is confirmed. A confirmation that comes after the answer is not shown
- * to a signed-out page or for a fleet.
+ * Repeats a FAST STOP until the page shows that it is confirmed. A confirmation that comes after the answer is not
+ * shown to a signed-out page or for a fleet.
  */
 export function confirmed(page, button, selector) {
   return until(selector, async () => {

@@ -134,9 +134,10 @@ async function watchForCover(page) {
     let last = Date.now();
     const stalls = [];
     const tick = () => {
-      const ms = Date.now() - last - everyMs;
-      last += everyMs + ms;
-      if (ms > everyMs) stalls.push({ until: last, ms });
+      const now = Date.now();
+      const ms = now - last - everyMs;
+      if (ms > everyMs) stalls.push({ until: now, ms });
+      last = now;
     };
     setInterval(tick, everyMs);
     const look = () => {

@@ -139,8 +139,8 @@ export class Gripper {
   }
 
   /**
-   * Like `asking`, for a request whose answer has settings. An event counts as a request that is answered at once: it is
-   * newer than the answers still to come. An event also names the subject.
+   * Like `asking`, for a request whose answer has settings. An event counts as a request that is answered at once: it
+   * is newer than the answers still to come. An event also names the subject.
    */
   askingSettings() {
     const isNewest = Object.fromEntries(SETTINGS.map((field) => [field, this.#answers[field]()]));
