@@ -3,8 +3,21 @@
 import assert from 'node:assert/strict';
 import { test } from 'node:test';
 
-import { assertClean, browser, controlled, gateway, homed, shoot, stopped, until, visit } from './harness.mjs';
+import {
+  assertClean,
+  browser,
+  controlled,
+  gateway,
+  homed,
+  named,
+  shoot,
+  stopped,
+  textsOf,
+  until,
+  visit,
+} from './harness.mjs';
 
+const languages = await Promise.all(['de', 'en'].map(textsOf));
 const launched = await browser();
 
 const SIZES = {
@@ -129,41 +142,100 @@ test('a chosen curve comes into view on a phone', async () => {
   assertClean(visitor);
 });
 
-for (const [size, shape] of Object.entries({ narrow: { width: 320, height: 568 }, ...SIZES })) {
-  test(`no German text is cut, ${size}`, async () => {
+/** Widths of phones, and of a panel. */
+const WIDTHS = {
+  narrow: { width: 320, height: 568 },
+  small: { width: 361, height: 640 },
+  ...SIZES,
+};
+
+/** The texts of all languages whose keys match. */
+const texts = (wanted) =>
+  languages.flatMap((all) => Object.keys(all).flatMap((key) => (wanted.test(key) ? all[key] : [])));
+
+/** Those of the texts that are cut in an item of the bar, once it is shown. */
+const cutInBar = (page, index, all) =>
+  until('the item is shown', () =>
+    page.evaluate(
+      ([at, given]) => {
+        const place = document.querySelectorAll('.status-text > span')[at];
+        if (place.clientWidth === 0) return null;
+        const { firstChild } = place;
+        const shown = firstChild.data;
+        const range = document.createRange();
+        range.selectNode(firstChild);
+        const found = given.filter((text) => {
+          firstChild.data = text;
+          return range.getBoundingClientRect().width > place.getBoundingClientRect().width + 0.1;
+        });
+        firstChild.data = shown;
+        return found;
+      },
+      [index, all],
+    ),
+  );
+
+const TEXT_PLACES =
+  'button, label, h2, h3, legend, th, .status-text > span, .alarm-badge > span, .figure-label, .tile-state, .take p';
+
+/** Texts of the page that are cut, and words that are broken. */
+const cut = (page) =>
+  page.evaluate((places) => {
+    /** Exact places of a text; an element's own width is rounded. */
+    const ranged = (set) => {
+      const range = document.createRange();
+      set(range);
+      return range;
+    };
+    const needs = (one) => ranged((range) => range.selectNodeContents(one)).getBoundingClientRect().width;
+    const all = [...document.querySelectorAll(places)].filter((one) => one.checkVisibility() && one.clientWidth > 1);
+    const tooWide = all
+      .filter((one) => needs(one) > one.getBoundingClientRect().width + 0.1)
+      .map((one) => `${one.innerText} needs ${needs(one)} of ${one.getBoundingClientRect().width}`);
+    const nodes = all.flatMap((one) => {
+      const walker = document.createTreeWalker(one, NodeFilter.SHOW_TEXT);
+      const found = [];
+      while (walker.nextNode()) found.push(walker.currentNode);
+      return found;
+    });
+    const broken = nodes.flatMap((node) =>
+      Array.from(node.data.matchAll(/[\p{L}\d.,]+/gu), ({ 0: word, index }) => {
+        const place = ranged((range) => {
+          range.setStart(node, index);
+          range.setEnd(node, index + word.length);
+        });
+        return place.getClientRects().length > 1 ? `${word} is broken` : [];
+      }).flat(),
+    );
+    return [...tooWide, ...broken];
+  }, TEXT_PLACES);
+
+for (const [size, shape] of Object.entries(WIDTHS)) {
+  test(`no German text is cut or broken within a word, ${size}`, async () => {
     const served = await gateway();
     const visitor = await visit(launched, served, { ...shape, locale: 'de-DE' });
     const { page } = visitor;
+    await named(page, 'Anna');
+    await page.waitForSelector('#take-control:enabled');
+    assert.deepEqual(await cut(page), [], 'free');
     await homed(page);
-    const cut = () =>
-      page.evaluate(() => {
-        /** Exact width of the text; the element's own width is rounded. */
-        const needs = (one) => {
-          const range = document.createRange();
-          range.selectNodeContents(one);
-          return range.getBoundingClientRect().width;
-        };
-        return [
-          ...document.querySelectorAll(
-            'button, label, h2, h3, legend, .status-text > span, .figure-label, th, .take p',
-          ),
-        ]
-          .filter(
-            (one) =>
-              one.checkVisibility() && one.clientWidth > 1 && needs(one) > one.getBoundingClientRect().width + 0.1,
-          )
-          .map((one) => `${one.innerText} needs ${needs(one)} of ${one.getBoundingClientRect().width}`);
-      });
+    assert.deepEqual(await cutInBar(page, 1, texts(/^state\.(?!ERROR|NO_PART|PART_LOST)/)), []);
     for (const view of VIEWS) {
       await page.click(`[data-view=${view}]`);
       await page.waitForFunction((name) => location.hash.endsWith(name), view);
       await page.waitForSelector('main h2');
-      assert.deepEqual(await cut(), [], view);
+      assert.deepEqual(await cut(page), [], view);
     }
     await stopped(page);
     await page.click('[data-view=operate]');
     await page.waitForSelector('#acknowledge:enabled');
-    assert.deepEqual(await cut(), [], 'stopped');
+    assert.deepEqual(await cut(page), [], 'stopped');
+    assert.deepEqual(await cutInBar(page, 1, texts(/^state\./)), []);
+    visitor.allowed.connections = true;
+    served.child.kill('SIGSTOP');
+    await page.waitForSelector('.cover:has-text("Gateway")');
+    assert.deepEqual(await cut(page), [], 'silent');
+    assert.deepEqual(await cutInBar(page, 0, texts(/^(link|bar\.gateway|bar\.sign_in)\b/)), []);
     assertClean(visitor);
   });
 }

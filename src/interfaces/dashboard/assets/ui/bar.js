@@ -11,18 +11,18 @@ import { Shape, whyOld } from './parts.js';
 import { go } from './route.js';
 import { Results, Stop } from './stop.js';
 
-function Item({ label, shape, text, tone = '' }) {
+function Item({ label, shape, text, since, tone = '' }) {
   return html`<div class=${`status ${tone}`}><span class="status-label">${label}</span><span class="status-text">
-    <${Shape} name=${shape} /><span title=${text}>${text}</span></span></div>`;
+    <${Shape} name=${shape} /><span title=${text}>${text}${since && html`<span class="since"> ${since}</span>`}</span>
+  </span></div>`;
 }
 
 function linkItem(one) {
   // The gateway responds, but shows no states until the user has signed in.
   if (mustSignIn.value) return { shape: 'off', text: t('bar.sign_in') };
   if (connection.value !== 'live') {
-    const since =
-      heardAt.value && connection.value !== 'connecting' ? ` ${t('bar.since', { time: time(heardAt.value) })}` : '';
-    return { shape: 'high', tone: 'tone-high', text: t(`bar.gateway.${connection.value}`) + since };
+    const since = heardAt.value && connection.value !== 'connecting' && t('bar.since', { time: time(heardAt.value) });
+    return { shape: 'high', tone: 'tone-high', text: t(`bar.gateway.${connection.value}`), since };
   }
   const link = one?.link.value;
   if (!link) return { shape: 'off', text: '–' };
