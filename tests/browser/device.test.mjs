@@ -3,7 +3,18 @@
 import assert from 'node:assert/strict';
 import { test } from 'node:test';
 
-import { assertClean, browser, controlled, gateway, shoot, simulator, until, visit } from './harness.mjs';
+import {
+  altered,
+  assertClean,
+  browser,
+  controlled,
+  gateway,
+  LATE_MESSAGES,
+  shoot,
+  simulator,
+  until,
+  visit,
+} from './harness.mjs';
 
 const launched = await browser();
 
@@ -81,7 +92,7 @@ test('settings are read again when a device returns, and a new tag is shown ever
       if (String(payload).includes('"settings.acceleration"')) reads += 1;
     }),
   );
-  await page.reload();
+  await altered(page, LATE_MESSAGES);
   await until('the settings are read', () => reads > 0);
   await served.ask('PUT', 'grippers/left/settings/device-tag', { tag: 'cell 7' });
   await page.waitForSelector('section[aria-labelledby=device-title] dd:has-text("cell 7")');

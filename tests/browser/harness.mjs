@@ -269,7 +269,7 @@ export function rendered(page) {
   );
 }
 
-/** Replaces constants in the page's modules, from its next load on: `changes` are pairs of old and new text. */
+/** Reloads the page with other constants in its modules, also later: `changes` are pairs of old and new text. */
 export async function altered(page, ...changes) {
   const missing = new Set(changes.map(([from]) => from));
   await page.route('**/*.js*', async (route) => {
@@ -281,18 +281,22 @@ export async function altered(page, ...changes) {
     }
     await route.fulfill({ response, body });
   });
+  await page.reload();
   started.push(() => assert.deepEqual([...missing], [], 'replaced in the page'));
 }
 
-/** From its next load on, the page's jogs have a lease of `ms` instead of 1 s: a busy machine does not end them. */
+/** A page waits 20 s without a message before it covers its values, ends a jog and raises an alarm of its own. */
+export const LATE_MESSAGES = ['STALE_AFTER_MS = 1200', 'STALE_AFTER_MS = 20_000'];
+
+/** Reloads the page. A busy machine does not end its jogs: their lease is `ms` instead of 1 s, with `LATE_MESSAGES`. */
 export const patient = (page, ms = 20_000, ...changes) =>
-  altered(page, ['LIVES_MS = 1000', `LIVES_MS = ${ms}`], ...changes);
+  altered(page, ['LIVES_MS = 1000', `LIVES_MS = ${ms}`], LATE_MESSAGES, ...changes);
 
 /**
- * From its next load on, the page repeats a FAST STOP as an HTTP request only after 3 s without a reply, instead of
- * 300 ms. On a busy machine, the repetition would replace the FAST STOP that the test looks at.
+ * Reloads the page. It repeats a FAST STOP as an HTTP request only after 3 s without a reply, instead of 300 ms: on a
+ * busy machine, the repetition would replace the FAST STOP that the test looks at. Includes `LATE_MESSAGES`.
  */
-export const stopsOnce = (page) => altered(page, ['here: 300', 'here: 3000']);
+export const stopsOnce = (page) => altered(page, ['here: 300', 'here: 3000'], LATE_MESSAGES);
 
 /** Lets a page wait longer for an answer that the test keeps back. */
 export const LATE_ANSWERS = ['ANSWERS_WITHIN_MS = 8000', `ANSWERS_WITHIN_MS = ${2 * DEADLINE_MS}`];

@@ -135,7 +135,6 @@ test('a request for control is repeated, and the holder notices its end', async 
   });
   for (const { page } of [anna, ben]) {
     await altered(page, ['REPEATED_EVERY_MS = 20_000', 'REPEATED_EVERY_MS = 200']);
-    await page.reload();
   }
   await controlled(anna.page);
   await ben.page.click('#ask-control');
@@ -192,7 +191,6 @@ test('a late answer about a setting does not replace the value that another clie
     },
   });
   await altered(page, LATE_ANSWERS);
-  await page.reload();
   await until('the tag is answered', () => passLate.length > 0);
   const set = (setting, value) => served.ask('PUT', `grippers/left/settings/${setting}`, value);
   const shows = (field, text) => until(`${field} shows ${text}`, async () => (await page.inputValue(field)) === text);
@@ -295,7 +293,6 @@ test('releasing a jog after a forced take does not stop the new holder', async (
     },
   });
   await patient(page);
-  await page.reload();
   await homed(page);
   await page.locator('#jog-close').hover();
   const state = () => served.ask('GET', 'grippers/left/state');
@@ -324,7 +321,6 @@ test('releasing a jog stops it even if its answer was lost', async () => {
   const served = await gateway({ more: ['--gripper', `left=${device.url}`] });
   const { page } = await visit(launched, served);
   await patient(page);
-  await page.reload();
   await homed(page);
   await page.fill('#speed', '5');
   await page.locator('#jog-close').hover();
@@ -347,7 +343,6 @@ async function jogging(filters, ...changes) {
   const [anna, ben] = [await visit(launched, served), await visit(launched, served)];
   await filtered(anna.page, filters);
   await patient(anna.page, 20_000, ...changes);
-  await anna.page.reload();
   await homed(anna.page);
   await ben.page.click('#ask-control');
   await anna.page.fill('#speed', '5');

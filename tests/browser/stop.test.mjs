@@ -24,7 +24,6 @@ test('STOP works by key from any view and from a field, and without the WebSocke
   const visitor = await visit(launched, served);
   const { page } = visitor;
   await stopsOnce(page);
-  await page.reload();
   await page.waitForSelector('#take-control');
   const latch = async () => (await served.ask('GET', 'grippers/left/state')).fast_stop_id;
   let last = null;

@@ -14,7 +14,6 @@ test('home, grip, hold, stop, see the cause, acknowledge', async () => {
   const visitor = await visit(launched, served);
   const { page } = visitor;
   await stopsOnce(page);
-  await page.reload();
   assert.ok(await page.locator('#home').isDisabled(), 'motion needs control');
   await page.click('#take-control');
   await page.waitForSelector('.why:has-text("Home first")');
@@ -112,7 +111,6 @@ test('a jog moves only while it is held', async () => {
   const visitor = await visit(launched, served);
   const { page } = visitor;
   await patient(page);
-  await page.reload();
   await homed(page);
   // Slow enough that four jogs do not reach the end on a busy machine.
   await page.fill('#speed', '5');
@@ -159,7 +157,6 @@ test('earlier taps do not end a held jog', async () => {
   const served = await gateway();
   const { page } = await visit(launched, served);
   await patient(page, 3000);
-  await page.reload();
   await homed(page);
   await page.waitForSelector('#jog-close:enabled');
   const state = () => served.ask('GET', 'grippers/left/state');

@@ -3,7 +3,20 @@
 import assert from 'node:assert/strict';
 import { test } from 'node:test';
 
-import { assertClean, browser, controlled, gateway, homed, named, shoot, simulator, until, visit } from './harness.mjs';
+import {
+  altered,
+  assertClean,
+  browser,
+  controlled,
+  gateway,
+  homed,
+  LATE_MESSAGES,
+  named,
+  shoot,
+  simulator,
+  until,
+  visit,
+} from './harness.mjs';
 
 const launched = await browser();
 
@@ -210,6 +223,7 @@ test('an absent gripper is covered, with an alarm until acknowledged', async () 
   });
   const visitor = await visit(launched, served, { path: '/#/there/operate' });
   const { page } = visitor;
+  await altered(page, LATE_MESSAGES);
   await page.waitForSelector('.jaws-panel .cover:has-text("not reached yet")');
   await page.waitForSelector('.alarm:has-text("there: not reached yet")');
   await page.click('.alarm button');
@@ -226,6 +240,7 @@ test('a gripper with a lost link is covered, and recovers', async () => {
   const served = await gateway({ more: ['--gripper', `left=${device.url}`] });
   const visitor = await visit(launched, served);
   const { page } = visitor;
+  await altered(page, LATE_MESSAGES);
   await page.waitForSelector('#take-control');
   device.child.kill('SIGSTOP');
   await page.waitForSelector('.jaws-panel .cover:has-text("Since")');
