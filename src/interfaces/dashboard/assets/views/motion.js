@@ -80,7 +80,7 @@ function WhoControls({ one }) {
   const button = (key, act, isMain = false) => html`<button type="button" class=${isMain ? 'primary' : ''}
       aria-label=${`${t(key)}: ${one.name}`} onClick=${act}>${t(key)}</button>`;
   if (one.isMine.value)
-    return html`<div class="take"><p>${t('control.you')}</p>
+    return html`<div class="take taken"><p>${t('control.you')}</p>
       ${button('control.release', () => releaseControl(one))}</div>`;
   if (holder)
     return html`<div class="take"><p>${t(one.isControlRequested.value ? 'control.asking' : 'control.held_by', { holder })}</p>
