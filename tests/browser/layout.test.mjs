@@ -17,7 +17,7 @@ import {
   visit,
 } from './harness.mjs';
 
-const languages = await Promise.all(['de', 'en'].map(textsOf));
+const allTexts = (await Promise.all(['de', 'en'].map(textsOf))).flatMap(Object.entries);
 const launched = await browser();
 
 const SIZES = {
@@ -150,8 +150,7 @@ const WIDTHS = {
 };
 
 /** The texts of all languages whose keys match. */
-const texts = (wanted) =>
-  languages.flatMap((all) => Object.keys(all).flatMap((key) => (wanted.test(key) ? all[key] : [])));
+const texts = (wanted) => allTexts.filter(([key]) => wanted.test(key)).map(([, text]) => text);
 
 /** Those of the texts that are cut in an item of the bar, once it is shown. */
 const cutInBar = (page, index, all) =>
@@ -199,13 +198,13 @@ const cut = (page) =>
       return found;
     });
     const broken = nodes.flatMap((node) =>
-      Array.from(node.data.matchAll(/[\p{L}\d.,]+/gu), ({ 0: word, index }) => {
+      [...node.data.matchAll(/[\p{L}\d.,]+/gu)].flatMap(({ 0: word, index }) => {
         const place = ranged((range) => {
           range.setStart(node, index);
           range.setEnd(node, index + word.length);
         });
         return place.getClientRects().length > 1 ? `${word} is broken` : [];
-      }).flat(),
+      }),
     );
     return [...tooWide, ...broken];
   }, TEXT_PLACES);
