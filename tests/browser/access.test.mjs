@@ -57,7 +57,7 @@ test('focus stays after Take control, a motion and Acknowledge', async () => {
 
 test('focus comes back when old values are no longer covered', async () => {
   const served = await gateway();
-  const visitor = await visit(launched, served);
+  const visitor = await visit(launched, served, { hasOwnTimes: true });
   const { page, allowed } = visitor;
   allowed.connections = true;
   for (const id of ['take-control', 'width']) {

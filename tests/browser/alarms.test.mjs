@@ -3,19 +3,7 @@
 import assert from 'node:assert/strict';
 import { test } from 'node:test';
 
-import {
-  altered,
-  assertClean,
-  browser,
-  gateway,
-  LATE_MESSAGES,
-  shoot,
-  simulator,
-  stopped,
-  stopsOnce,
-  until,
-  visit,
-} from './harness.mjs';
+import { assertClean, browser, gateway, shoot, simulator, stopped, until, visit } from './harness.mjs';
 
 const launched = await browser();
 
@@ -25,10 +13,7 @@ test('one STOP of 24 grippers is acknowledged with two clicks, for all browsers'
   const more = Array.from({ length: GRIPPERS }, (_, index) => ['--gripper', `g${index + 1}=sim://wsg50`]).flat();
   const served = await gateway({ more });
   const [anna, ben] = [await visit(launched, served), await visit(launched, served)];
-  for (const { page } of [anna, ben]) {
-    await stopsOnce(page);
-    await page.waitForSelector('#take-control');
-  }
+  for (const { page } of [anna, ben]) await page.waitForSelector('#take-control');
   await anna.page.keyboard.press('Escape');
   for (const { page } of [anna, ben]) await page.waitForSelector(`.alarm-badge:has-text("${GRIPPERS} alarms")`);
   const { alarms } = await served.ask('GET', 'alarms');
@@ -53,7 +38,6 @@ test('a FAST STOP after the list was opened is not acknowledged with it', async 
   const served = await gateway();
   const visitor = await visit(launched, served);
   const { page } = visitor;
-  await stopsOnce(page);
   await page.waitForSelector('#take-control');
   await stopped(page);
   await page.waitForSelector('.alarm-badge:has-text("2 alarms")');
@@ -73,7 +57,6 @@ test('an alarm keeps its time over a reload, and is in the history', async () =>
   const served = await gateway({ more: ['--gripper', `left=${device.url}`] });
   const visitor = await visit(launched, served);
   const { page } = visitor;
-  await altered(page, LATE_MESSAGES);
   await page.waitForSelector('#take-control');
   device.child.kill('SIGSTOP');
   await page.waitForSelector('.alarm:has-text("left: no link")');

@@ -3,18 +3,7 @@
 import assert from 'node:assert/strict';
 import { test } from 'node:test';
 
-import {
-  altered,
-  assertClean,
-  browser,
-  controlled,
-  gateway,
-  LATE_MESSAGES,
-  shoot,
-  simulator,
-  until,
-  visit,
-} from './harness.mjs';
+import { assertClean, browser, controlled, gateway, shoot, simulator, until, visit } from './harness.mjs';
 
 const launched = await browser();
 
@@ -92,7 +81,7 @@ test('settings are read again when a device returns, and a new tag is shown ever
       if (String(payload).includes('"settings.acceleration"')) reads += 1;
     }),
   );
-  await altered(page, LATE_MESSAGES);
+  await page.reload();
   await until('the settings are read', () => reads > 0);
   await served.ask('PUT', 'grippers/left/settings/device-tag', { tag: 'cell 7' });
   await page.waitForSelector('section[aria-labelledby=device-title] dd:has-text("cell 7")');

@@ -127,7 +127,7 @@ test('a name that is typed before the page is complete is kept', async () => {
   });
   await page.route('**/later.js', async (route) => {
     await typed;
-    await route.continue();
+    await route.fallback();
   });
   await page.goto(served.url, { waitUntil: 'commit' });
   await page.fill('#my-name', 'Anna');
@@ -165,7 +165,7 @@ test('updates before the page is ready are kept, from one subscription', async (
   });
   await page.route('**/app.js', async (route) => {
     await held;
-    await route.continue();
+    await route.fallback();
   });
   await page.goto(served.url, { waitUntil: 'commit' });
   await until('the page has subscribed', () => asked.length === 1);
@@ -268,7 +268,7 @@ test('a problem with missing values is shown in the gateway’s words', async ()
 
 test('the log is covered while the gateway is silent', async () => {
   const served = await gateway();
-  const { page, allowed } = await visit(launched, served, { path: '/#/left/log' });
+  const { page, allowed } = await visit(launched, served, { path: '/#/left/log', hasOwnTimes: true });
   await page.click('#with-updates');
   await page.waitForSelector('.frame');
   served.child.kill('SIGSTOP');

@@ -4,7 +4,7 @@ import assert from 'node:assert/strict';
 import { createServer } from 'node:http';
 import { test } from 'node:test';
 
-import { assertClean, browser, gateway, started, until, visit } from './harness.mjs';
+import { assertClean, browser, gateway, LONGER_TIMES, started, until, visit } from './harness.mjs';
 
 const launched = await browser();
 
@@ -12,7 +12,7 @@ const MOST_REQUESTS = 10;
 
 test('the first load needs few requests', async () => {
   const served = await gateway();
-  const visitor = await visit(launched, served, { path: '/readyz' });
+  const visitor = await visit(launched, served, { path: '/readyz', hasOwnTimes: true });
   const { page } = visitor;
   const asked = [];
   page.on('request', (request) => asked.push(request.url()));
@@ -27,6 +27,17 @@ test('the first load needs few requests', async () => {
   const manifest = await (await fetch(await page.locator('link[rel=manifest]').evaluate(({ href }) => href))).json();
   assert.equal(manifest.start_url, '/');
   assertClean(visitor);
+});
+
+test('the times that other tests make longer are those of the page', async () => {
+  const served = await gateway();
+  const { page } = await visit(launched, served, { path: '/readyz', hasOwnTimes: true });
+  let scripts = '';
+  page.on('response', async (response) => {
+    if (response.request().resourceType() === 'script') scripts += await response.text();
+  });
+  await page.goto(served.url);
+  await until('all scripts have been read', () => LONGER_TIMES.every(([own]) => scripts.includes(own)));
 });
 
 test('a widget is shown alone, in a frame of a configured page', async () => {

@@ -12,7 +12,6 @@ import {
   homed,
   named,
   LATE_ANSWERS,
-  patient,
   rendered,
   simulator,
   until,
@@ -243,9 +242,9 @@ test('what missed events would have reported is read after a gap', async () => {
   const acceleration = '#acceleration-acceleration_mm_s2';
   await until('the acceleration is shown', async () => (await page.inputValue(acceleration)) !== '');
   await page.waitForSelector('.panel:has(#statistics-title) dd:text-is("0")');
-  await served.ask('POST', 'grippers/left/home?wait_ms=60000');
-  await served.ask('POST', 'grippers/left/grip?wait_ms=60000', { width_mm: 20, speed_mm_s: 200 });
-  await served.ask('POST', 'grippers/left/release?wait_ms=60000', { width_mm: 40, speed_mm_s: 200 });
+  await served.ask('POST', 'grippers/left/home');
+  await served.ask('POST', 'grippers/left/grip', { width_mm: 20, speed_mm_s: 200 });
+  await served.ask('POST', 'grippers/left/release', { width_mm: 40, speed_mm_s: 200 });
   await served.ask('PUT', 'grippers/left/settings/acceleration', { acceleration_mm_s2: 700 });
   isGap = true;
   await served.ask('PUT', 'recipes/ring', { number: 3, width_mm: 20, speed_mm_s: 200 });
@@ -269,12 +268,12 @@ test('grips are counted on the page even if no shown state reports them', async 
   await page.reload();
   const put = (path, value) => served.ask('PUT', `grippers/left/${path}`, value);
   const set = '.panel:has(#finger-set-title)';
-  await served.ask('POST', 'grippers/left/home?wait_ms=60000');
+  await served.ask('POST', 'grippers/left/home');
   await put('finger-set', { id: 'F-12', maintenance_cycles: 9 });
   await page.waitForSelector(`${set} dd:has-text("0 / 9")`);
   for (const count of [1, 2]) {
-    await served.ask('POST', 'grippers/left/grip?wait_ms=60000', { width_mm: 20, speed_mm_s: 200 });
-    await served.ask('POST', 'grippers/left/release?wait_ms=60000', { width_mm: 40, speed_mm_s: 200 });
+    await served.ask('POST', 'grippers/left/grip', { width_mm: 20, speed_mm_s: 200 });
+    await served.ask('POST', 'grippers/left/release', { width_mm: 40, speed_mm_s: 200 });
     await page.waitForSelector(`${set} dd:has-text("${count} / 9")`);
     await page.waitForSelector(`.panel:has(#statistics-title) dd:text-is("${count}")`);
   }
@@ -292,7 +291,7 @@ test('releasing a jog after a forced take does not stop the new holder', async (
       return false;
     },
   });
-  await patient(page);
+  await page.reload();
   await homed(page);
   await page.locator('#jog-close').hover();
   const state = () => served.ask('GET', 'grippers/left/state');
@@ -320,7 +319,6 @@ test('releasing a jog stops it even if its answer was lost', async () => {
   const device = await simulator();
   const served = await gateway({ more: ['--gripper', `left=${device.url}`] });
   const { page } = await visit(launched, served);
-  await patient(page);
   await homed(page);
   await page.fill('#speed', '5');
   await page.locator('#jog-close').hover();
@@ -342,7 +340,7 @@ async function jogging(filters, ...changes) {
   const served = await gateway();
   const [anna, ben] = [await visit(launched, served), await visit(launched, served)];
   await filtered(anna.page, filters);
-  await patient(anna.page, 20_000, ...changes);
+  await altered(anna.page, ...changes);
   await homed(anna.page);
   await ben.page.click('#ask-control');
   await anna.page.fill('#speed', '5');
@@ -397,7 +395,7 @@ test('a handed-over jog is cancelled as soon as its id is known', async () => {
 /** A page whose clock is paused, and whose messages from the gateway can be kept back. */
 async function paused() {
   const served = await gateway();
-  const { page } = await visit(launched, served);
+  const { page } = await visit(launched, served, { hasOwnTimes: true });
   const line = { isSilent: false, passed: 0, subscribed: 0, socket: null };
   await filtered(page, {
     onOpen: (socket) => {
@@ -416,7 +414,7 @@ async function paused() {
   await page.reload();
   await page.waitForSelector('#take-control');
   await page.waitForSelector('.alarms-panel');
-  await page.clock.pauseAt(Date.now() + 3000);
+  await page.clock.pauseAt(Date.now() + 10_000);
   const shows = async (selector) => (await page.locator(selector).count()) > 0;
   /** Lets the page's time pass until the selector matches. Returns the milliseconds. */
   const passes = async (selector) => {
@@ -487,7 +485,7 @@ test('a new connection without messages is still lost', async () => {
 
 test('a short silence loses nothing that a person has typed or opened', async () => {
   const served = await gateway();
-  const { page } = await visit(launched, served, { path: '/#/left/history' });
+  const { page } = await visit(launched, served, { path: '/#/left/history', hasOwnTimes: true });
   let isSilent = false;
   await filtered(page, { toPage: () => !isSilent });
   await page.reload();

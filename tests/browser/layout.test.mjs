@@ -230,11 +230,12 @@ for (const [size, shape] of Object.entries(WIDTHS)) {
     await page.waitForSelector('#acknowledge:enabled');
     assert.deepEqual(await cut(page), [], 'stopped');
     assert.deepEqual(await cutInBar(page, 1, texts(/^state\./)), []);
-    visitor.allowed.connections = true;
+    const deserted = await visit(launched, served, { ...shape, locale: 'de-DE', hasOwnTimes: true });
+    await deserted.page.waitForSelector('#acknowledge');
     served.child.kill('SIGSTOP');
-    await page.waitForSelector('.cover:has-text("Gateway")');
-    assert.deepEqual(await cut(page), [], 'silent');
-    assert.deepEqual(await cutInBar(page, 0, texts(/^(link|bar\.gateway|bar\.sign_in)\b/)), []);
+    await deserted.page.waitForSelector('.cover:has-text("Gateway")');
+    assert.deepEqual(await cut(deserted.page), [], 'silent');
+    assert.deepEqual(await cutInBar(deserted.page, 0, texts(/^(link|bar\.gateway|bar\.sign_in)\b/)), []);
     assertClean(visitor);
   });
 }

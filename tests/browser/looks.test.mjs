@@ -115,6 +115,7 @@ for (const [language, colorScheme] of [
       ...SIZES.panel,
       colorScheme,
       locale: language === 'de' ? 'de-DE' : 'en-GB',
+      hasOwnTimes: true,
     });
     const { page } = visitor;
     const look = async (what) => {

@@ -30,7 +30,7 @@ for (const [name, { bytes, latencyMs, mostMs }] of Object.entries(NETWORKS)) {
     await served.ask('POST', 'grippers/left/home');
     const times = [];
     while (times.length < TRIES && !times.some((time) => time < mostMs)) {
-      const { page, close } = await visit(launched, served, { path: '/readyz' });
+      const { page, close } = await visit(launched, served, { path: '/readyz', hasOwnTimes: true });
       const cdp = await page.context().newCDPSession(page);
       await cdp.send('Network.enable');
       await cdp.send('Network.setCacheDisabled', { cacheDisabled: true });

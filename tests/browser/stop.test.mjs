@@ -12,7 +12,6 @@ import {
   rendered,
   simulator,
   slowReads,
-  stopsOnce,
   until,
   visit,
 } from './harness.mjs';
@@ -23,7 +22,6 @@ test('STOP works by key from any view and from a field, and without the WebSocke
   const served = await gateway();
   const visitor = await visit(launched, served);
   const { page } = visitor;
-  await stopsOnce(page);
   await page.waitForSelector('#take-control');
   const latch = async () => (await served.ask('GET', 'grippers/left/state')).fast_stop_id;
   let last = null;
@@ -44,7 +42,7 @@ test('STOP works by key from any view and from a field, and without the WebSocke
   await stopsBy('Pause', () => page.keyboard.press('Pause'));
 
   // Without a WebSocket, STOP uses a request.
-  const without = await visit(launched, served, { path: '/' });
+  const without = await visit(launched, served, { hasOwnTimes: true });
   without.allowed.connections = true;
   await without.page.routeWebSocket('**/api/v1/ws', (socket) => socket.close());
   await without.page.reload();
@@ -59,7 +57,7 @@ test('STOP works by key from any view and from a field, and without the WebSocke
   assert.deepEqual([door, label], ['http', 'Zoë']);
 
   // On a WebSocket that drops everything, the request follows without delay.
-  const silent = await visit(launched, served);
+  const silent = await visit(launched, served, { hasOwnTimes: true });
   await silent.page.routeWebSocket('**/api/v1/ws', (socket) => {
     const server = socket.connectToServer();
     socket.onMessage((message) => {

@@ -3,7 +3,7 @@
 import assert from 'node:assert/strict';
 import { test } from 'node:test';
 
-import { assertClean, browser, gateway, homed, patient, shoot, stopsOnce, until, visit } from './harness.mjs';
+import { altered, assertClean, browser, gateway, homed, shoot, until, visit } from './harness.mjs';
 
 const launched = await browser();
 
@@ -13,7 +13,6 @@ test('home, grip, hold, stop, see the cause, acknowledge', async () => {
   const served = await gateway();
   const visitor = await visit(launched, served);
   const { page } = visitor;
-  await stopsOnce(page);
   assert.ok(await page.locator('#home').isDisabled(), 'motion needs control');
   await page.click('#take-control');
   await page.waitForSelector('.why:has-text("Home first")');
@@ -110,7 +109,6 @@ test('a jog moves only while it is held', async () => {
   const served = await gateway();
   const visitor = await visit(launched, served);
   const { page } = visitor;
-  await patient(page);
   await homed(page);
   // Slow enough that four jogs do not reach the end on a busy machine.
   await page.fill('#speed', '5');
@@ -156,7 +154,7 @@ test('a jog moves only while it is held', async () => {
 test('earlier taps do not end a held jog', async () => {
   const served = await gateway();
   const { page } = await visit(launched, served);
-  await patient(page, 3000);
+  await altered(page, ['LIVES_MS = 1000', 'LIVES_MS = 3000']);
   await homed(page);
   await page.waitForSelector('#jog-close:enabled');
   const state = () => served.ask('GET', 'grippers/left/state');
@@ -177,7 +175,7 @@ test('earlier taps do not end a held jog', async () => {
 
 test('a page that hangs during a jog stops the fingers', async () => {
   const served = await gateway();
-  const visitor = await visit(launched, served);
+  const visitor = await visit(launched, served, { hasOwnTimes: true });
   const { page } = visitor;
   await homed(page);
   await page.waitForSelector('#jog-close:enabled');

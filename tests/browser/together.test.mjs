@@ -3,20 +3,7 @@
 import assert from 'node:assert/strict';
 import { test } from 'node:test';
 
-import {
-  altered,
-  assertClean,
-  browser,
-  controlled,
-  gateway,
-  homed,
-  LATE_MESSAGES,
-  named,
-  shoot,
-  simulator,
-  until,
-  visit,
-} from './harness.mjs';
+import { assertClean, browser, controlled, gateway, homed, named, shoot, simulator, until, visit } from './harness.mjs';
 
 const launched = await browser();
 
@@ -171,7 +158,7 @@ async function watchForCover(page) {
 
 test('the page shows a lost gateway within 2 s, and recovers', async () => {
   const first = await gateway();
-  const visitor = await visit(launched, first);
+  const visitor = await visit(launched, first, { hasOwnTimes: true });
   const { page } = visitor;
   await page.waitForSelector('#take-control');
   assert.equal(await page.locator('.cover').count(), 0);
@@ -197,7 +184,7 @@ test('the page shows a lost gateway within 2 s, and recovers', async () => {
 
 test('a frozen gateway is noticed as soon as a lost one', async () => {
   const served = await gateway();
-  const visitor = await visit(launched, served);
+  const visitor = await visit(launched, served, { hasOwnTimes: true });
   const { page } = visitor;
   await page.waitForSelector('#take-control');
   const covered = await watchForCover(page);
@@ -223,7 +210,6 @@ test('an absent gripper is covered, with an alarm until acknowledged', async () 
   });
   const visitor = await visit(launched, served, { path: '/#/there/operate' });
   const { page } = visitor;
-  await altered(page, LATE_MESSAGES);
   await page.waitForSelector('.jaws-panel .cover:has-text("not reached yet")');
   await page.waitForSelector('.alarm:has-text("there: not reached yet")');
   await page.click('.alarm button');
@@ -240,7 +226,6 @@ test('a gripper with a lost link is covered, and recovers', async () => {
   const served = await gateway({ more: ['--gripper', `left=${device.url}`] });
   const visitor = await visit(launched, served);
   const { page } = visitor;
-  await altered(page, LATE_MESSAGES);
   await page.waitForSelector('#take-control');
   device.child.kill('SIGSTOP');
   await page.waitForSelector('.jaws-panel .cover:has-text("Since")');

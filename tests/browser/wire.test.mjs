@@ -80,7 +80,7 @@ test('frames are filtered, copied and saved, and a pause is marked', async () =>
   await page.waitForSelector('.frame.received:has-text("GetStatistics")');
   const only = (count) =>
     page.waitForFunction((wanted) => document.querySelectorAll('.frame').length === wanted, count);
-  await page.fill('#log-filter', '06h');
+  await page.fill('#log-filter', '06h beef');
   await only(2);
   assert.equal(await page.locator('[data-row=updates]').count(), 0, 'a filter hides folded updates');
   await page.click('[data-choice=direction-received]');
@@ -89,7 +89,7 @@ test('frames are filtered, copied and saved, and a pause is marked', async () =>
   await page.waitForSelector('.frame:has-text("GetStatistics")');
   await page.fill('#log-filter', 'E_NO_SUCH');
   await page.waitForSelector('p:has-text("No frame matches the filter.")');
-  await page.fill('#log-filter', '06h');
+  await page.fill('#log-filter', '06h beef');
   await page.click('[data-choice=direction-]');
   await only(2);
   await page.context().grantPermissions(['clipboard-read', 'clipboard-write']);
