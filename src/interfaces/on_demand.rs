@@ -42,6 +42,7 @@ impl<T: Send + Sync + 'static> OnDemand<T> {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Mutex;
     use std::sync::atomic::{AtomicU32, Ordering};
 
     use futures_util::FutureExt as _;
@@ -63,11 +64,17 @@ mod tests {
     async fn client_that_leaves_does_not_start_it_again() {
         let computed = Arc::new(AtomicU32::new(0));
         let counter = computed.clone();
-        let value = OnDemand::new(move || counter.fetch_add(1, Ordering::Relaxed));
+        let (clients_have_left, wait) = std::sync::mpsc::channel::<()>();
+        let wait = Mutex::new(wait);
+        let value = OnDemand::new(move || {
+            let _ = wait.lock().unwrap().recv();
+            counter.fetch_add(1, Ordering::Relaxed)
+        });
         for _ in 0..10 {
             assert!(value.get().now_or_never().is_none());
             tokio::task::yield_now().await;
         }
+        drop(clients_have_left);
         assert_eq!((value.get().await.unwrap(), computed.load(Ordering::Relaxed)), (&0, 1));
     }
 

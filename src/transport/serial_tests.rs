@@ -37,11 +37,19 @@ async fn bytes_pass_both_ways_unchanged() {
 async fn flush_waits_for_the_line() {
     let (_master, path) = pty();
     let mut pipe = address(path, 9600).connect().await.unwrap();
-    let begun = Instant::now();
-    pipe.writer.write_all(&[0; 48]).await.unwrap();
-    assert!(begun.elapsed() < Duration::from_millis(25), "a write alone does not wait");
-    pipe.writer.flush().await.unwrap();
-    assert!(begun.elapsed() >= Duration::from_millis(50), "48 bytes at 960 a second: {:?}", begun.elapsed());
+    let mut shortest = Duration::MAX;
+    // Other processes only add to a time, so the shortest of several counts.
+    for _ in 0..20 {
+        let begun = Instant::now();
+        pipe.writer.write_all(&[0; 48]).await.unwrap();
+        shortest = shortest.min(begun.elapsed());
+        pipe.writer.flush().await.unwrap();
+        assert!(begun.elapsed() >= Duration::from_millis(50), "48 bytes at 960 a second: {:?}", begun.elapsed());
+        if shortest < Duration::from_millis(25) {
+            return;
+        }
+    }
+    panic!("a write alone waits: {shortest:?}");
 }
 
 #[tokio::test]
