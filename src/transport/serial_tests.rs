@@ -38,7 +38,7 @@ async fn flush_waits_for_the_line() {
     let (_master, path) = pty();
     let mut pipe = address(path, 9600).connect().await.unwrap();
     let mut shortest = Duration::MAX;
-    // Other processes only add to a time, so the shortest of several counts.
+    // Other processes can only lengthen a measured time, so only the shortest one counts.
     for _ in 0..20 {
         let begun = Instant::now();
         pipe.writer.write_all(&[0; 48]).await.unwrap();
