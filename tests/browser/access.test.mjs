@@ -61,7 +61,10 @@ test('focus comes back when old values are no longer covered', async () => {
   const { page, allowed } = visitor;
   allowed.connections = true;
   for (const id of ['take-control', 'width']) {
-    await page.focus(`#${id}`);
+    await until(`#${id} has the focus`, async () => {
+      await page.focus(`#${id}`);
+      return (await focused(page)) === id;
+    });
     served.child.kill('SIGSTOP');
     await page.waitForSelector(`[inert] #${id}`);
     await page.waitForFunction(() => document.activeElement === document.body);

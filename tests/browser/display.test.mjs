@@ -3,7 +3,19 @@
 import assert from 'node:assert/strict';
 import { test } from 'node:test';
 
-import { assertClean, browser, controlled, gateway, homed, named, rendered, until, visit } from './harness.mjs';
+import {
+  altered,
+  assertClean,
+  browser,
+  controlled,
+  gateway,
+  homed,
+  LATE_ANSWERS,
+  named,
+  rendered,
+  until,
+  visit,
+} from './harness.mjs';
 
 const launched = await browser();
 
@@ -68,6 +80,7 @@ test('a late answer does not overwrite that of a newer filter', async () => {
   await served.ask('POST', 'grippers/left/home');
   await served.ask('POST', 'grippers/left/move', { width_mm: 50, speed_mm_s: 300 });
   const { page } = await visit(launched, served, { path: '/#/left/history' });
+  await altered(page, ...LATE_ANSWERS);
   await page.waitForSelector('tbody tr:nth-child(2)');
   let letGo;
   const held = new Promise((resolve) => {

@@ -29,15 +29,17 @@ test('the first load needs few requests', async () => {
   assertClean(visitor);
 });
 
-test('the times that other tests make longer are those of the page', async () => {
+test('the times that other tests lengthen exist in the page', async () => {
   const served = await gateway();
   const { page } = await visit(launched, served, { path: '/readyz', hasOwnTimes: true });
-  let scripts = '';
+  const scripts = [];
   page.on('response', async (response) => {
-    if (response.request().resourceType() === 'script') scripts += await response.text();
+    if (response.request().resourceType() === 'script') scripts.push(await response.text().catch(() => ''));
   });
   await page.goto(served.url);
-  await until('all scripts have been read', () => LONGER_TIMES.every(([own]) => scripts.includes(own)));
+  await until('the page has all of these times', () =>
+    LONGER_TIMES.every(([own]) => scripts.some((text) => text.includes(own))),
+  );
 });
 
 test('a widget is shown alone, in a frame of a configured page', async () => {

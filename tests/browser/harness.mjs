@@ -206,15 +206,24 @@ export async function browser() {
 }
 
 /**
- * Times of the page that a busy machine can exceed, and those that pages of tests have instead: silence after which it
- * covers its values, ends a jog and raises an alarm of its own; silence after which it replaces its connection; time
- * after which it repeats a FAST STOP as an HTTP request, which replaces the first; duration of a jog's lease.
+ * The silence after which a page covers its values, ends a jog and raises an alarm of its own, and that after which it
+ * replaces its connection: each as it is, and longer.
+ */
+export const LATE_MESSAGES = [
+  ['STALE_AFTER_MS = 1200;', 'STALE_AFTER_MS = 20_000;'],
+  ['RENEWED_AFTER_MS = 4000;', 'RENEWED_AFTER_MS = 25_000;'],
+];
+
+/**
+ * All times of a page that a busy machine can exceed, each with the longer one that tests use instead. The others are
+ * the time after which the page repeats a FAST STOP as an HTTP request, which replaces the first; the time after which
+ * it reports that a FAST STOP has failed; and the duration of a jog's lease.
  */
 export const LONGER_TIMES = [
-  ['STALE_AFTER_MS = 1200', 'STALE_AFTER_MS = 20_000'],
-  ['RENEWED_AFTER_MS = 4000', 'RENEWED_AFTER_MS = 25_000'],
-  ['here: 300', 'here: 3000'],
-  ['LIVES_MS = 1000', 'LIVES_MS = 20_000'],
+  ...LATE_MESSAGES,
+  ['here: 300,', 'here: 20_000,'],
+  ['STOPS_WITHIN_MS = 3000;', 'STOPS_WITHIN_MS = 20_000;'],
+  ['LIVES_MS = 1000;', 'LIVES_MS = 20_000;'],
 ];
 
 /**
@@ -295,25 +304,29 @@ export function rendered(page) {
   );
 }
 
-/** Pairs of old and new text in the scripts of each page, and those that were found. */
+/** Changes to the scripts of each page, as pairs of old and new text, and those whose old text was found. */
 const changesOf = new WeakMap();
 
-/** Changes texts in the scripts that a page loads from now on. Returns the changes that were found. */
+/** Changes texts in the scripts that a page loads from now on. Returns a set, which gets each change that is made. */
 async function change(page, pairs) {
   const known = changesOf.get(page);
   const { found } = known ?? { found: new Set() };
   changesOf.set(page, { pairs: [...pairs, ...(known?.pairs ?? [])], found });
   if (known) return found;
   await page.route('**/*.js*', async (route) => {
-    // The gateway can be away, and the page can be closed meanwhile.
-    const response = await route.fetch().catch(() => null);
-    if (response === null) return route.abort().catch(() => {});
-    let body = await response.text();
-    for (const pair of changesOf.get(page).pairs) {
-      if (body.includes(pair[0])) found.add(pair);
-      body = body.replace(...pair);
+    try {
+      const response = await route.fetch({ maxRetries: 2 });
+      let body = await response.text();
+      for (const pair of changesOf.get(page).pairs) {
+        const [from, to] = pair;
+        if (body.includes(from)) found.add(pair);
+        body = body.replace(from, () => to);
+      }
+      await route.fulfill({ response, body });
+    } catch {
+      // Meanwhile the gateway can go away, or the page can be closed.
+      await route.abort('connectionrefused').catch(() => {});
     }
-    return route.fulfill({ response, body }).catch(() => {});
   });
   return found;
 }
@@ -332,7 +345,10 @@ export async function altered(page, ...changes) {
 }
 
 /** Lets a page wait longer for an answer that the test keeps back. */
-export const LATE_ANSWERS = ['ANSWERS_WITHIN_MS = 8000', `ANSWERS_WITHIN_MS = ${2 * DEADLINE_MS}`];
+export const LATE_ANSWERS = [5000, 8000].map((ms) => [
+  `ANSWERS_WITHIN_MS = ${ms};`,
+  `ANSWERS_WITHIN_MS = ${2 * DEADLINE_MS};`,
+]);
 
 /**
  * Repeats a FAST STOP until the page shows that it is confirmed. A confirmation that comes after the answer is not
@@ -341,7 +357,7 @@ export const LATE_ANSWERS = ['ANSWERS_WITHIN_MS = 8000', `ANSWERS_WITHIN_MS = ${
 export function confirmed(page, button, selector) {
   return until(selector, async () => {
     await page.click(button);
-    return appears(page, selector, 2000);
+    return appears(page, selector, 5000);
   });
 }
 
@@ -351,6 +367,20 @@ export function appears(page, selector, timeout) {
     () => true,
     () => false,
   );
+}
+
+/** Sends a command until its frames are shown in the log: a busy page misses frames, and says so. */
+export async function exchanged(page, send, selector) {
+  const gaps = async () => (await page.locator('[data-row=gap]').allInnerTexts()).join('\n');
+  let outcome = null;
+  while (outcome !== 'shown') {
+    const before = await gaps();
+    await send();
+    outcome = await until(`${selector}, or a gap`, async () => {
+      if ((await page.locator(selector).count()) > 0) return 'shown';
+      return (await gaps()) === before ? null : 'gap';
+    });
+  }
 }
 
 /** Asserts no console messages, no exceptions and no requests to other hosts. */

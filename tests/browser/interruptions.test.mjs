@@ -165,7 +165,7 @@ test('a late answer about the lease does not hide a request for control', async 
       return false;
     },
   });
-  await anna.page.reload();
+  await altered(anna.page, ...LATE_ANSWERS);
   await controlled(anna.page);
   await until('the lease is answered', () => passLate);
   await ben.page.click('#ask-control');
@@ -189,7 +189,7 @@ test('a late answer about a setting does not replace the value that another clie
       return false;
     },
   });
-  await altered(page, LATE_ANSWERS);
+  await altered(page, ...LATE_ANSWERS);
   await until('the tag is answered', () => passLate.length > 0);
   const set = (setting, value) => served.ask('PUT', `grippers/left/settings/${setting}`, value);
   const shows = (field, text) => until(`${field} shows ${text}`, async () => (await page.inputValue(field)) === text);
@@ -217,7 +217,7 @@ test('a recipe that is changed during the first reading is shown', async () => {
       return false;
     },
   });
-  await page.reload();
+  await altered(page, ...LATE_ANSWERS);
   await until('the recipes are answered', () => passFirst);
   await served.ask('PUT', 'recipes/ring', { number: 3, width_mm: 20, speed_mm_s: 200 });
   await until('the change is reported', () => isChanged);
@@ -385,7 +385,7 @@ test('a handed-over jog is cancelled as soon as its id is known', async () => {
     named = pass;
     return false;
   };
-  const { state, stopped, page } = await jogging({ toPage }, LATE_ANSWERS);
+  const { state, stopped, page } = await jogging({ toPage }, ...LATE_ANSWERS);
   await page.mouse.up();
   assert.equal((await state()).moving, true);
   named();

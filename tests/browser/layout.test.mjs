@@ -72,7 +72,9 @@ test('the page’s own reads leave room for the user’s requests', async () => 
   let most = 0;
   page.on('websocket', (socket) => {
     socket.on('framesent', ({ payload }) => {
-      open.add(JSON.parse(payload).id);
+      const { id, method } = JSON.parse(payload);
+      // The regular polls are more if their answers come late.
+      if (method !== 'state') open.add(id);
       most = Math.max(most, open.size);
     });
     socket.on('framereceived', ({ payload }) => open.delete(JSON.parse(payload).id));
@@ -232,11 +234,12 @@ for (const [size, shape] of Object.entries(WIDTHS)) {
     assert.deepEqual(await cutInBar(page, 1, texts(/^state\./)), []);
     const deserted = await visit(launched, served, { ...shape, locale: 'de-DE', hasOwnTimes: true });
     await deserted.page.waitForSelector('#acknowledge');
+    deserted.allowed.connections = true;
     served.child.kill('SIGSTOP');
     await deserted.page.waitForSelector('.cover:has-text("Gateway")');
     assert.deepEqual(await cut(deserted.page), [], 'silent');
     assert.deepEqual(await cutInBar(deserted.page, 0, texts(/^(link|bar\.gateway|bar\.sign_in)\b/)), []);
-    assertClean(visitor);
+    [visitor, deserted].forEach(assertClean);
   });
 }
 

@@ -111,18 +111,14 @@ for (const [language, colorScheme] of [
     const words = await textsOf(language);
     const device = await simulator();
     const served = await gateway({ more: ['--gripper', `left=${device.url}`] });
-    const visitor = await visit(launched, served, {
-      ...SIZES.panel,
-      colorScheme,
-      locale: language === 'de' ? 'de-DE' : 'en-GB',
-      hasOwnTimes: true,
-    });
+    const settings = { ...SIZES.panel, colorScheme, locale: language === 'de' ? 'de-DE' : 'en-GB' };
+    const visitor = await visit(launched, served, settings);
     const { page } = visitor;
-    const look = async (what) => {
-      await page.evaluate(() => scrollTo(0, 0));
-      await shoot(page, `wrong-${what}-${language}-${colorScheme}`);
-      assert.deepEqual(await violations(page), [], what);
-      assert.deepEqual(await misfits(page), [], what);
+    const look = async (what, at = page) => {
+      await at.evaluate(() => scrollTo(0, 0));
+      await shoot(at, `wrong-${what}-${language}-${colorScheme}`);
+      assert.deepEqual(await violations(at), [], what);
+      assert.deepEqual(await misfits(at), [], what);
     };
     await homed(page);
     await page.fill('#width', '1,000');
@@ -149,13 +145,15 @@ for (const [language, colorScheme] of [
     await page.waitForSelector('.jaws-panel .cover');
     await page.waitForSelector('.alarm-badge[class*=tone]');
     await look('no-link');
+    const deserted = await visit(launched, served, { ...settings, hasOwnTimes: true });
+    await deserted.page.waitForSelector('#acknowledge');
     served.child.kill('SIGSTOP');
-    visitor.allowed.connections = true;
-    await page.waitForSelector(`.jaws-panel .cover:has-text("${words['stale.silent']}")`);
-    await look('silent');
+    deserted.allowed.connections = true;
+    await deserted.page.waitForSelector(`.jaws-panel .cover:has-text("${words['stale.silent']}")`);
+    await look('silent', deserted.page);
     for (const { child } of [served, device]) child.kill('SIGCONT');
-    await page.waitForFunction(() => !document.querySelector('.cover'));
-    assertClean(visitor);
+    for (const one of [page, deserted.page]) await one.waitForFunction(() => !document.querySelector('.cover'));
+    [visitor, deserted].forEach(assertClean);
   });
 }
 

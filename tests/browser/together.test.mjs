@@ -158,7 +158,7 @@ async function watchForCover(page) {
 
 test('the page shows a lost gateway within 2 s, and recovers', async () => {
   const first = await gateway();
-  const visitor = await visit(launched, first, { hasOwnTimes: true });
+  const visitor = await visit(launched, first);
   const { page } = visitor;
   await page.waitForSelector('#take-control');
   assert.equal(await page.locator('.cover').count(), 0);

@@ -4,40 +4,29 @@ import assert from 'node:assert/strict';
 import { readFile } from 'node:fs/promises';
 import { test } from 'node:test';
 
-import { assertClean, browser, gateway, shoot, simulator, until, visit } from './harness.mjs';
+import { assertClean, browser, exchanged, gateway, shoot, simulator, until, visit } from './harness.mjs';
 
 const launched = await browser();
 
 const text = (page, selector) => page.locator(selector).first().innerText();
 
-/** Sends a command until its frames are shown: a busy page misses frames, and says so. */
-async function exchanged(page, send, selector) {
-  const gaps = async () => (await page.locator('[data-row=gap]').allInnerTexts()).join('\n');
-  let outcome = null;
-  while (outcome !== 'shown') {
-    const before = await gaps();
-    await send();
-    outcome = await until(`${selector}, or a gap`, async () => {
-      if ((await page.locator(selector).count()) > 0) return 'shown';
-      return (await gaps()) === before ? null : 'gap';
-    });
-  }
-}
-
 /** Sends a request that the gateway never answers by itself. */
-const loop = (served) => served.ask('POST', 'grippers/left/raw', { id: 0x06, payload: 'beef' });
+const loop = (served, payload = 'beef') => served.ask('POST', 'grippers/left/raw', { id: 0x06, payload });
 
 test('the log goes on while another view is shown, in local time', async () => {
   const served = await gateway();
   const visitor = await visit(launched, served, { path: '/#/left/log', timezoneId: 'Asia/Kolkata' });
   const { page } = visitor;
   await page.waitForSelector('[data-row=updates]:has-text("automatic updates")');
-  await page.click('[data-view=operate]');
-  await page.waitForSelector('.jaws');
-  const before = Date.now();
-  await loop(served);
-  await page.click('[data-view=log]');
-  await page.waitForSelector('.frame.sent:has-text("Loop")');
+  let before = null;
+  const sendElsewhere = async () => {
+    await page.click('[data-view=operate]');
+    await page.waitForSelector('.jaws');
+    before = Date.now();
+    await loop(served);
+    await page.click('[data-view=log]');
+  };
+  await exchanged(page, sendElsewhere, '.frame.sent:has-text("Loop")');
   const shown = await text(page, '.frame.sent:has-text("Loop")');
   const [, hours, minutes] = /(\d\d):(\d\d):\d\d\.\d{3}/.exec(shown);
   const local = new Date(before + 5.5 * 3600_000);
@@ -75,12 +64,18 @@ test('frames are filtered, copied and saved, and a pause is marked', async () =>
   const visitor = await visit(launched, served, { path: '/#/left/log' });
   const { page } = visitor;
   await page.waitForSelector('[data-row=updates]');
-  await loop(served);
-  await served.ask('POST', 'grippers/left/raw', { id: 0x42, payload: '00' });
-  await page.waitForSelector('.frame.received:has-text("GetStatistics")');
+  let payload = 'be00';
+  // Each try has its own bytes, which the filters below find.
+  const sendNext = () => {
+    payload = (Number.parseInt(payload, 16) + 1).toString(16);
+    return loop(served, payload);
+  };
+  await exchanged(page, sendNext, '.frame.received:has-text("Loop")');
+  const readStatistics = () => served.ask('POST', 'grippers/left/raw', { id: 0x42, payload: '00' });
+  await exchanged(page, readStatistics, '.frame.received:has-text("GetStatistics")');
   const only = (count) =>
     page.waitForFunction((wanted) => document.querySelectorAll('.frame').length === wanted, count);
-  await page.fill('#log-filter', '06h beef');
+  await page.fill('#log-filter', `06h ${payload}`);
   await only(2);
   assert.equal(await page.locator('[data-row=updates]').count(), 0, 'a filter hides folded updates');
   await page.click('[data-choice=direction-received]');
@@ -89,14 +84,24 @@ test('frames are filtered, copied and saved, and a pause is marked', async () =>
   await page.waitForSelector('.frame:has-text("GetStatistics")');
   await page.fill('#log-filter', 'E_NO_SUCH');
   await page.waitForSelector('p:has-text("No frame matches the filter.")');
-  await page.fill('#log-filter', '06h beef');
+  await page.fill('#log-filter', `06h ${payload}`);
   await page.click('[data-choice=direction-]');
   await only(2);
   await page.context().grantPermissions(['clipboard-read', 'clipboard-write']);
   await page.click('#copy-log');
-  await page.waitForSelector('[role=status]:has-text("2 lines copied.")');
+  await page.waitForSelector('[role=status]:has-text(" lines copied.")');
   const copied = await page.evaluate(() => navigator.clipboard.readText());
-  assert.match(copied, /^\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d{3} -> aa aa aa 06 02 00 be ef \S\S \S\S {2}Loop /);
+  const lines = copied.trimEnd().split('\n');
+  assert.equal(await text(page, '[role=status]:has-text(" lines copied.")'), `${lines.length} lines copied.`);
+  // A line about missing frames has no arrow.
+  const [sent, received, ...others] = lines.filter((line) => / (->|<-) /.test(line));
+  const bytes = `06 02 00 be ${payload.slice(2)}`;
+  assert.match(
+    sent,
+    new RegExp(`^\\d{4}-\\d\\d-\\d\\d \\d\\d:\\d\\d:\\d\\d\\.\\d{3} -> aa aa aa ${bytes} \\S\\S \\S\\S {2}Loop `),
+  );
+  assert.match(received, /<- aa aa aa 06 .*Loop/);
+  assert.deepEqual(others, []);
   const [file] = await Promise.all([page.waitForEvent('download'), page.click('#save-log')]);
   assert.equal(file.suggestedFilename(), 'left-frames.txt');
   assert.equal(await readFile(await file.path(), 'utf8'), copied);
@@ -105,8 +110,7 @@ test('frames are filtered, copied and saved, and a pause is marked', async () =>
   await loop(served);
   await page.waitForSelector('[data-row=paused]:has-text("left out while paused")');
   await page.click('#pause-log');
-  await served.ask('POST', 'grippers/left/raw', { id: 0x42, payload: '00' });
-  await page.waitForSelector('[data-row=paused] ~ .frame:has-text("GetStatistics")');
+  await exchanged(page, readStatistics, '[data-row=paused] ~ .frame:has-text("GetStatistics")');
   await shoot(page, 'log-paused');
   assertClean(visitor);
 });
