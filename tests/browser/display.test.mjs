@@ -158,7 +158,7 @@ test('a name that is typed before the page is complete is kept', async () => {
 
 test('updates before the page is ready are kept, from one subscription', async () => {
   const served = await gateway();
-  const visitor = await visit(launched, served);
+  const visitor = await visit(launched, served, { hasOwnTimes: true });
   const { page } = visitor;
   const [asked, heard] = [[], []];
   await page.routeWebSocket('**/api/v1/ws', (socket) => {
