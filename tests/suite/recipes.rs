@@ -287,6 +287,9 @@ async fn limits_are_proposed_from_grips() {
         assert!((taught[name].as_f64().unwrap() - expected).abs() < 1e-9, "{name}: {taught}, {widths:?}");
     }
     assert_eq!(taught["count"], 3);
+    let of_gripper = async |name| gateway.post(&format!("{RECIPE}/teach"), &json!({"k": 2, "gripper": name})).await;
+    assert_eq!(of_gripper("g").await.ok(), taught);
+    of_gripper("another").await.problem(404, "not_found");
     gateway.get(RECIPE).await.problem(404, "not_found");
 }
 
