@@ -9,6 +9,7 @@ use crate::wsg::id;
 use crate::wsg::{Data, Reply};
 
 use super::faults::{FaultKind, FaultName};
+use super::getters::BrokenGetter;
 use super::process::MotionKind;
 use super::world::Part;
 use super::{Device, LinkAction};
@@ -95,6 +96,14 @@ pub enum Change {
     },
     /// Disarms all pending faults.
     DisarmFaults,
+    /// A getter no longer returns its value; the rest of the device goes on.
+    BreakGetter {
+        /// Id of the getter.
+        id: u8,
+        how: BrokenGetter,
+    },
+    /// All getters return their values again.
+    MendGetters,
 }
 
 impl Device {
@@ -137,6 +146,8 @@ impl Device {
             Change::CutConnection => self.cut_connection(),
             Change::Fault { kind, id, times } => self.faults.arm(kind, id, times),
             Change::DisarmFaults => self.faults.disarm(),
+            Change::BreakGetter { id, how } => self.break_getter(id, how),
+            Change::MendGetters => self.broken_getters.mend(),
         }
         self.settle();
     }

@@ -3,7 +3,9 @@
 use std::collections::HashMap;
 
 use crate::sim::testing::*;
-use crate::sim::{Change, Device, DeviceConfig, FaultKind, FaultName, FingerConfig, Interface, Model, Part};
+use crate::sim::{
+    BrokenGetter, Change, Device, DeviceConfig, FaultKind, FaultName, FingerConfig, Interface, Model, Part,
+};
 use crate::wsg::{Command, Finger, Force, HomingDirection, Reply, SoftLimits, Status, SystemState, id};
 
 const SEEDS: u64 = 60;
@@ -221,11 +223,13 @@ fn every_kind_of_fault_occurs_and_is_counted() {
         Change::PowerFault { on: true },
         Change::FingerOverCurrent { finger: 1, on: true },
         Change::FailScript,
-        Change::Silent { on: true },
+        Change::BreakGetter { id: id::LOOP, how: BrokenGetter::NotANumber },
     ];
     for change in changes {
         bench.apply(change);
     }
+    bench.ask(&looped(&[1]));
+    bench.apply(Change::Silent { on: true });
     bench.ask(&looped(&[1]));
     bench.apply(Change::HalfOpen { on: true });
     bench.ask(&looped(&[1]));

@@ -74,7 +74,7 @@ fault_names! {
     CorruptByte CorruptChecksum CorruptSize HalfFrame Garbage PreambleRun FalsePreamble SplitBytes JoinFrames
     DropConnection NoReply Status FinalStatus FinalTwice FinalLate FinalWithoutPending FinalBeforePending
     PendingWithoutFinal SilenceAfterAccept Silent HalfOpen RefusedConnection Reboot FastStop TemperatureFault
-    CurrentFault PowerFault FingerFault ForeignMotion Obstacle PartTaken PartSlipped ScriptFailure
+    CurrentFault PowerFault FingerFault ForeignMotion Obstacle PartTaken PartSlipped ScriptFailure BrokenGetter
 }
 
 impl FaultKind {

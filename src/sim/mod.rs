@@ -24,6 +24,7 @@ mod commands;
 mod config;
 mod faults;
 mod fingers;
+mod getters;
 mod grip;
 mod link;
 mod models;
@@ -51,6 +52,7 @@ pub use axis::{AxisDirection, STEP};
 pub use change::Change;
 pub use config::{BadChecksum, DeviceConfig, FingerConfig, Generation, Script, ScriptAnswer};
 pub use faults::{FaultCounts, FaultKind, FaultName, MAX_ARMED_FAULTS};
+pub use getters::BrokenGetter;
 pub use link::{Interface, LinkAction};
 pub use models::Model;
 pub use outbox::{MAX_QUEUED_FRAMES, MAX_QUEUED_REPLIES};
@@ -61,6 +63,7 @@ pub use world::{GripSide, Part};
 
 use faults::Faults;
 use fingers::FingerPort;
+use getters::BrokenGetters;
 use motion::Mechanics;
 use outbox::ReplyQueue;
 use process::{MotionKind, Process};
@@ -127,6 +130,7 @@ pub struct Device {
     subscriptions: Subscriptions,
 
     faults: Faults,
+    broken_getters: BrokenGetters,
     log: ReceivedLog,
     damaged_requests: u64,
     refused_requests: u64,
@@ -178,6 +182,7 @@ impl Device {
             late: Vec::new(),
             subscriptions: Subscriptions::default(),
             faults: Faults::default(),
+            broken_getters: BrokenGetters::default(),
             log: ReceivedLog::default(),
             damaged_requests: 0,
             refused_requests: 0,

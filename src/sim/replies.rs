@@ -117,9 +117,9 @@ impl Device {
             self.faults.counts.add(FaultName::Silent);
             return;
         }
-        let mut bytes = Vec::new();
-        reply.encode(id, &mut bytes);
-        self.outbox.push(Outgoing { id, is_update, at: self.clock, bytes });
+        if let Some(bytes) = self.frame_of(id, reply) {
+            self.outbox.push(Outgoing { id, is_update, at: self.clock, bytes });
+        }
     }
 
     /// Applies an armed fault to a request. Returns `true` if the request must not be executed.
