@@ -4,12 +4,13 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use jiff::Timestamp;
 use serde::Serialize;
 use tokio::time::{MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
 use utoipa::ToSchema;
 
-use crate::gripper::model::{Link, Name, State};
+use crate::gripper::model::{Name, State};
 use crate::gripper::{Grippers, Now};
 
 /// Interval of the samples. A chart of ten minutes cannot show shorter changes.
@@ -18,21 +19,28 @@ const SAMPLED_EVERY: Duration = Duration::from_millis(200);
 /// Samples of ten minutes: 120 kB for a gripper.
 const MAX_SAMPLES: usize = 3000;
 
-/// Values at one time; none while the gripper is not connected.
+/// Values at one time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct TrendSample {
     at: Instant,
+    /// The same time by the wall clock; `None` if no value is known.
+    measured_at: Option<Timestamp>,
     width_mm: Option<f32>,
     speed_mm_s: Option<f32>,
     force_n: Option<f32>,
 }
 
 impl TrendSample {
-    fn of(state: &State, at: Instant) -> Self {
-        let is_there = state.link == Link::Connected;
-        let value = |value: Option<f32>| value.filter(|_| is_there).map(|value| (value * 100.0).round() / 100.0);
-        let (width_mm, speed_mm_s, force_n) = (state.width_mm, state.speed_mm_s, state.force_n);
-        Self { at, width_mm: value(width_mm), speed_mm_s: value(speed_mm_s), force_n: value(force_n) }
+    /// The values that are known now. Their time is that of the newest frame, or now if no value is known.
+    fn of(state: &State, now: Instant) -> Self {
+        let values = &state.values;
+        Self {
+            at: values.newest(now).unwrap_or(now),
+            measured_at: values.measured_at(now),
+            width_mm: values.width_mm(now).map(rounded),
+            speed_mm_s: values.speed_mm_s(now).map(rounded),
+            force_n: values.force_n(now).map(rounded),
+        }
     }
 
     fn values(&self) -> [Option<f32>; 3] {
@@ -40,18 +48,29 @@ impl TrendSample {
     }
 }
 
+/// A value with two decimals.
+fn rounded(value: f32) -> f32 {
+    (value * 100.0).round() / 100.0
+}
+
 /// Measured values of a gripper, oldest first. All lists have the same length.
 #[derive(Debug, PartialEq, Serialize, ToSchema)]
 #[schema(example = json!({
-    "gripper": "left", "age_ms": [400, 200, 0], "width_mm": [50.0, 48.5, 47.0], "speed_mm_s": [0.0, -7.5, -7.5],
+    "gripper": "left", "age_ms": [405, 205, 5], "measured_at": "2026-11-29T10:30:00.123456Z", "width_mm": [50.0, 48.5, 47.0], "speed_mm_s": [0.0, -7.5, -7.5],
     "force_n": [0.0, 0.0, null]
 }))]
 pub struct Trend {
     /// Name of the gripper.
     #[schema(value_type = String, max_length = 32)]
     gripper: Name,
-    /// Age of each sample in ms. Samples within a stretch of equal values are left out.
+    /// Age of each sample in ms: the time since the newest of its frames arrived. Samples within a stretch of equal
+    /// values are left out.
     age_ms: Vec<u64>,
+    /// Time at which the frame of the newest sample arrived, in UTC with microseconds. The other samples arrived as much
+    /// earlier as their ages are greater. Null before the first connection.
+    #[serde(serialize_with = "crate::gripper::model::time::microseconds_or_null")]
+    #[schema(value_type = Option<String>, required, format = DateTime)]
+    measured_at: Option<Timestamp>,
     /// Opening widths in mm; null where unknown.
     width_mm: Vec<Option<f32>>,
     /// Speeds of the fingers relative to each other, in mm/s; null where unknown.
@@ -89,6 +108,7 @@ impl Trends {
             samples.back_mut().filter(|last| [before, Some(sample.values())] == [Some(last.values()); 2])
         {
             last.at = sample.at;
+            last.measured_at = sample.measured_at;
         } else {
             if len == MAX_SAMPLES {
                 samples.pop_front();
@@ -112,6 +132,7 @@ impl Trends {
         Trend {
             gripper: gripper.clone(),
             age_ms: samples.iter().map(|one| now.saturating_duration_since(one.at).as_millis() as u64).collect(),
+            measured_at: samples.last().and_then(|sample| sample.measured_at),
             width_mm: samples.iter().map(|one| one.width_mm).collect(),
             speed_mm_s: samples.iter().map(|one| one.speed_mm_s).collect(),
             force_n: samples.iter().map(|one| one.force_n).collect(),
@@ -127,6 +148,8 @@ impl Trends {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::gripper::model::{Link, Values};
+    use crate::wsg::{GripperState, SystemState};
 
     fn name() -> Name {
         "left".parse().unwrap()
@@ -137,7 +160,10 @@ mod tests {
         let (trends, begin) = (Trends::default(), Instant::now());
         for (index, width) in widths.into_iter().enumerate() {
             let at = begin + SAMPLED_EVERY * u32::try_from(index).unwrap();
-            trends.take(&name(), TrendSample { at, width_mm: Some(width), speed_mm_s: None, force_n: None });
+            trends.take(
+                &name(),
+                TrendSample { at, measured_at: None, width_mm: Some(width), speed_mm_s: None, force_n: None },
+            );
         }
         trends
     }
@@ -160,9 +186,19 @@ mod tests {
 
     #[test]
     fn lost_link_is_a_gap() {
-        let there = State { link: Link::Connected, width_mm: Some(5.0), ..State::unknown(name()) };
-        let gone = State { link: Link::Reconnecting, ..there.clone() };
-        let width = |state| TrendSample::of(state, Instant::now()).width_mm;
-        assert_eq!((width(&there), width(&gone)), (Some(5.0), None));
+        let values = Values::fixed(SystemState::REFERENCED, GripperState::Idle, [5.0, 0.0, 0.0]);
+        let mut state = State { link: Link::Connected, values, ..State::unknown(name()) };
+        assert_eq!(TrendSample::of(&state, Instant::now()).width_mm, Some(5.0));
+        state.values.forget();
+        assert_eq!(TrendSample::of(&state, Instant::now()).width_mm, None);
+    }
+
+    #[test]
+    fn sample_has_the_time_of_its_frame() {
+        let values = Values::fixed(SystemState::REFERENCED, GripperState::Idle, [5.0, 0.0, 0.0]);
+        let arrived_at = values.flags.arrived_at().unwrap();
+        let state = State { link: Link::Connected, values, ..State::unknown(name()) };
+        let sample = TrendSample::of(&state, arrived_at + Duration::from_secs(3));
+        assert_eq!((sample.at, sample.measured_at), (arrived_at, Some(Timestamp::UNIX_EPOCH)));
     }
 }

@@ -1,6 +1,7 @@
 //! The conditions that raise alarms, as a gripper's state shows them.
 
 use std::sync::Arc;
+use std::time::Instant;
 
 use super::list::{AlarmKey, Conditions};
 use crate::gripper::model::{AlarmCause, AlarmKind, Fault, Link, Name, State};
@@ -34,7 +35,7 @@ pub(super) fn of_wear(gripper: &Name, wear: &Wear, conditions: &mut Conditions) 
 }
 
 /// Adds the conditions of a gripper. One that has only just begun to connect raises no alarm for its link.
-pub(super) fn of_gripper(state: &State, is_starting: bool, conditions: &mut Conditions) {
+pub(super) fn of_gripper(state: &State, now: Instant, is_starting: bool, conditions: &mut Conditions) {
     let mut add = |alarm, cause: Option<AlarmCause>| {
         conditions.insert(AlarmKey::of_gripper(alarm, &state.gripper), cause);
     };
@@ -66,18 +67,24 @@ pub(super) fn of_gripper(state: &State, is_starting: bool, conditions: &mut Cond
     if let (Some(holder), None) = (&state.reserved_for, &state.lease_holder) {
         add(AlarmKind::HolderLost, Some(AlarmCause { cause: Some(Arc::clone(holder)), ..AlarmCause::default() }));
     }
-    let is_linked = state.link == Link::Connected;
+    let flags = state.values.flag_names(now);
     for (flag, alarm) in FLAGS {
-        match is_linked {
-            true if state.flags.contains(&flag) => add(alarm, Some(AlarmCause::default())),
-            true => {}
-            false => add(alarm, None),
+        match &flags {
+            Some(flags) if flags.contains(&flag) => add(alarm, Some(AlarmCause::default())),
+            Some(_) => {}
+            None => add(alarm, None),
         }
     }
-    match is_linked {
-        true if state.state == Some("PART_LOST") => add(AlarmKind::PartLost, Some(AlarmCause::default())),
-        true => {}
-        false => add(AlarmKind::PartLost, None),
+    match state.values.state_name(now) {
+        Some("PART_LOST") => add(AlarmKind::PartLost, Some(AlarmCause::default())),
+        Some(_) => {}
+        None => add(AlarmKind::PartLost, None),
+    }
+    // Without the flags, the cause of the link names all unknown values.
+    let unknown = state.values.missing(now).filter(|_| state.link == Link::Connected && flags.is_some());
+    let unknown: Vec<_> = unknown.map(|(name, missing)| format!("{name} ({missing})")).collect();
+    if !unknown.is_empty() {
+        add(AlarmKind::ValueUnknown, Some(text(&unknown.join(", "))));
     }
     for (fault, alarm) in FAULTS {
         match state.fault_code {

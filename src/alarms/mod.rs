@@ -241,7 +241,8 @@ fn of_grippers(
     for gripper in grippers.all() {
         let (name, state) = (gripper.name(), gripper.state());
         let since = connecting.get(name).copied().unwrap_or(now.instant);
-        of_gripper(&state, now.instant.saturating_duration_since(since) < REACHED_WITHIN, conditions);
+        let is_starting = now.instant.saturating_duration_since(since) < REACHED_WITHIN;
+        of_gripper(&state, now.instant, is_starting, conditions);
         of_wear(name, wear, conditions);
         if state.link == Link::Connecting {
             still_connecting.insert(name.clone(), since);

@@ -5,8 +5,10 @@ use std::time::Instant;
 use jiff::{SignedDuration, Timestamp};
 
 use super::*;
-use crate::gripper::model::{Door, Fault, Link, PartId, State};
+use crate::gripper::clock;
+use crate::gripper::model::{Door, Fault, Link, Missing, PartId, State, Values};
 use crate::journal::{JournalLocation, Retention};
+use crate::wsg::{GripperState, SystemState};
 
 /// A list, and a time that passes.
 struct Scene {
@@ -17,7 +19,7 @@ struct Scene {
 impl Scene {
     fn new() -> Self {
         let wall = Timestamp::from_millisecond(1_795_258_800_000).unwrap();
-        Self { list: AlarmList::default(), now: Now { instant: Instant::now(), wall } }
+        Self { list: AlarmList::default(), now: Now { instant: Instant::now(), wall, exact: wall } }
     }
 
     fn after(&mut self, seconds: u64) -> &mut Self {
@@ -176,7 +178,7 @@ fn list_is_bounded() {
 
 fn raised_by(state: &State) -> Vec<AlarmKind> {
     let mut conditions = Conditions::new();
-    of_gripper(state, false, &mut conditions);
+    of_gripper(state, clock::instant(), false, &mut conditions);
     conditions.into_iter().filter_map(|(key, cause)| cause.map(|_| key.alarm)).collect()
 }
 
@@ -184,15 +186,26 @@ fn raised_by(state: &State) -> Vec<AlarmKind> {
 fn state_shows_its_conditions() {
     let unknown = State::unknown("left".parse().unwrap());
     assert_eq!(raised_by(&unknown), [AlarmKind::NotReached]);
-    let fine = State { link: Link::Connected, fault_code: 0, fast_stop: Some(false), ..unknown };
+    let values = |flags, state| Values::fixed(flags, state, [20.0, 0.0, 0.0]);
+    let idle = values(SystemState::REFERENCED, GripperState::Idle);
+    let fine = State { link: Link::Connected, values: idle, fault_code: 0, fast_stop: Some(false), ..unknown };
     assert_eq!(raised_by(&fine), []);
     let reserved = State { reserved_for: Some("Anna".into()), ..fine.clone() };
     assert_eq!(raised_by(&reserved), [AlarmKind::HolderLost]);
     assert_eq!(raised_by(&State { lease_holder: Some("Ben".into()), ..reserved }), []);
-    let hot = State { flags: vec!["MOVING", "TEMP_WARNING", "FINGER_FAULT"], ..fine.clone() };
+    let flags = SystemState::MOVING | SystemState::TEMP_WARNING | SystemState::FINGER_FAULT;
+    let hot = State { values: values(flags, GripperState::Idle), ..fine.clone() };
     assert_eq!(raised_by(&hot), [AlarmKind::FingerFault, AlarmKind::TemperatureWarning]);
-    assert_eq!(raised_by(&State { link: Link::Reconnecting, ..hot }), [AlarmKind::LinkDown]);
-    assert_eq!(raised_by(&State { state: Some("PART_LOST"), ..fine.clone() }), [AlarmKind::PartLost]);
+    let mut gone = State { link: Link::Reconnecting, ..hot };
+    gone.values.forget();
+    assert_eq!(raised_by(&gone), [AlarmKind::LinkDown]);
+    let lost = State { values: values(SystemState::REFERENCED, GripperState::PartLost), ..fine.clone() };
+    assert_eq!(raised_by(&lost), [AlarmKind::PartLost]);
+    let mut unheard = fine.clone();
+    unheard.values.width.lose(Missing::Silent);
+    assert_eq!(raised_by(&unheard), [AlarmKind::ValueUnknown]);
+    unheard.values.flags.lose(Missing::Silent);
+    assert_eq!(raised_by(&State { link: Link::Unresponsive, ..unheard }), [AlarmKind::LinkDown]);
     let failed = State { fault_code: Fault::DeviceError.code(), ..fine };
     assert_eq!(raised_by(&failed), [AlarmKind::DeviceError]);
 }

@@ -175,7 +175,7 @@ impl Source {
     }
 
     fn telemetry(&self, state: &State) -> Option<Notification> {
-        self.telemetry.get(state.update, || Notification::new("telemetry", &state.telemetry(Now::read().wall)))
+        self.telemetry.get(state.update, || Notification::new("telemetry", &state.telemetry(Now::read())))
     }
 
     fn frame(&self, record: &WireRecord) -> Option<Notification> {
@@ -276,7 +276,7 @@ impl Subscription {
                 ]
             } else {
                 // The age grows without an update, so a heartbeat is not shared.
-                let telemetry = || Notification::new("telemetry", &state.telemetry(Now::read().wall));
+                let telemetry = || Notification::new("telemetry", &state.telemetry(Now::read()));
                 [
                     has(Topic::State).then(|| Notification::new("state", &*state)).flatten(),
                     has(Topic::Telemetry).then(telemetry).flatten(),

@@ -11,6 +11,8 @@ pub struct Now {
     pub instant: Instant,
     /// Wall clock time, for records, in whole milliseconds.
     pub wall: Timestamp,
+    /// The same time, not rounded.
+    pub exact: Timestamp,
 }
 
 impl Now {
@@ -18,7 +20,7 @@ impl Now {
     pub fn read() -> Self {
         let now = Timestamp::now();
         let milliseconds = Timestamp::from_millisecond(now.as_millisecond());
-        Self { instant: instant(), wall: milliseconds.unwrap_or(now) }
+        Self { instant: instant(), wall: milliseconds.unwrap_or(now), exact: now }
     }
 }
 

@@ -331,7 +331,15 @@ impl Driver {
 
     /// Announces the disconnect before closing the connection of a device that may still be listening, since a plain
     /// close causes a FAST STOP. A half-written frame is finished first, so that the announcement is a separate frame.
+    /// Requests that can still act late are thrown away instead, and the gripper's FAST STOP is then welcome.
     async fn farewell(&self, link: &mut LinkIo) {
+        if self.actor.may_act_late() {
+            // What still waits in a buffer must not reach the device after this connection: nobody would know.
+            if let Some(discard_unsent) = &link.pipe.discard_unsent {
+                discard_unsent();
+            }
+            return;
+        }
         if self.connector.properties().connection_oriented && !self.actor.has_announced() {
             say_good_bye(&mut link.pipe, link.outgoing.rest()).await;
         }

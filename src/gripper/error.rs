@@ -235,6 +235,11 @@ pub enum Failure {
     /// The device sends this value by itself, but has not sent it yet. The width follows only after homing.
     #[error("the device has not sent the value of {command} yet: home it if it is not referenced, then try again")]
     NoValueYet { command: &'static str },
+    /// The device should send this value by itself, and does not.
+    #[error("the value of {command} is unknown: {cause}")]
+    ValueUnknown { command: &'static str, cause: String },
+    #[error("{cause}: motions are refused until the device sends its flags (40h) again; check the device and its line")]
+    FlagsUnknown { cause: String },
     /// The device never received the request.
     #[error("{command} was not sent, because an earlier request still had no reply: try again later")]
     NotSent { command: &'static str },
@@ -285,9 +290,10 @@ fn link_down(link: Link, url: &str, cause: Option<&str>) -> String {
 impl Failure {
     const fn code(&self) -> Code {
         match self {
-            Self::LinkDown { .. } | Self::Draining => Code::LinkDown,
+            Self::LinkDown { .. } | Self::FlagsUnknown { .. } | Self::Draining => Code::LinkDown,
             Self::DeviceTimeout { .. }
             | Self::NoValueYet { .. }
+            | Self::ValueUnknown { .. }
             | Self::NotSent { .. }
             | Self::Late { .. }
             | Self::StoppedFirst { .. } => Code::DeviceTimeout,

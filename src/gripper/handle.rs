@@ -208,7 +208,9 @@ impl Handle {
             let fault = state.latch.is_none().then_some(Fault::LinkDown.code());
             let fault_code = fault.unwrap_or(state.fault_code);
             let link = Link::Reconnecting;
-            return Arc::new(State { link, link_cause, fault: true, fault_code, ..State::clone(&state) });
+            let mut values = state.values;
+            values.forget();
+            return Arc::new(State { link, link_cause, values, fault: true, fault_code, ..State::clone(&state) });
         }
         state
     }

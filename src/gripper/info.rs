@@ -83,7 +83,7 @@ pub struct Info {
     pub(super) custom_ids: Arc<CustomIds>,
     /// Period of the device's updates.
     #[serde(skip)]
-    pub(super) update_period_ms: u16,
+    pub update_period_ms: u16,
 }
 
 /// First major firmware version with the finger interface and Get Temperature (`fw4-en 3.4.7`, `3.6`).

@@ -6,6 +6,7 @@
 use std::cell::RefCell;
 use std::fmt;
 use std::sync::Arc;
+use std::time::Instant;
 
 use prometheus::core::{Collector, Desc};
 use prometheus::proto::MetricFamily;
@@ -18,7 +19,7 @@ use tokio::sync::watch;
 
 use super::clock;
 use super::handle::Handle;
-use super::model::{FastStopCause, Kind, Link, Name, Outcome, State};
+use super::model::{FastStopCause, Kind, Link, Name, Outcome, State, Values};
 
 /// Largest number of series for one gripper.
 pub const MAX_SERIES: usize = 229;
@@ -157,8 +158,8 @@ impl GripperMetrics {
     }
 }
 
-/// Returns a value of a state, if the gripper has reported it.
-type ReportedValue = fn(&State) -> Option<f64>;
+/// Returns one of the values, if it is known.
+type ReportedValue = fn(&Values, Instant) -> Option<f64>;
 
 /// Gauges of a gripper's newest state.
 #[derive(Debug)]
@@ -196,20 +197,23 @@ impl Newest {
                 of.opts("wsg_lease_holder_info", "Always 1; the label names the client that holds the lease."),
                 &["holder"],
             )?,
-            age: value("wsg_update_age_seconds", "Age of the newest update from the device.")?,
+            age: value("wsg_update_age_seconds", "Age of the oldest known value of the device.")?,
             reported: [
-                (value("wsg_temperature_celsius", "Temperature of the device.")?, |state| {
-                    state.temperature_c.map(f64::from)
+                (
+                    value("wsg_temperature_celsius", "Temperature of the device; missing while unknown.")?,
+                    |values, now| values.temperature_c(now).map(f64::from),
+                ),
+                (
+                    value("wsg_state_code", "Number of the gripper state, as in the manual; missing while unknown.")?,
+                    |values, now| values.state_code(now).map(f64::from),
+                ),
+                (value("wsg_width_meters", "Opening width; missing while unknown.")?, |values, now| {
+                    values.width_mm(now).map(|width_mm| f64::from(width_mm) / 1000.0)
                 }),
-                (value("wsg_state_code", "Number of the gripper state, as in the manual.")?, |state| {
-                    state.state_code.map(f64::from)
-                }),
-                (value("wsg_width_meters", "Opening width; missing until the fingers are referenced.")?, |state| {
-                    state.width_mm.map(|width_mm| f64::from(width_mm) / 1000.0)
-                }),
-                (value("wsg_force_newtons", "Gripping force, summed over the fingers.")?, |state| {
-                    state.force_n.map(f64::from)
-                }),
+                (
+                    value("wsg_force_newtons", "Gripping force, summed over the fingers; missing while unknown.")?,
+                    |values, now| values.force_n(now).map(f64::from),
+                ),
             ],
         };
         // The registry knows it by this description.
@@ -241,12 +245,13 @@ impl Collector for Newest {
             self.holder.with_label_values(&[&**holder]).set(1);
             families.extend(self.holder.collect());
         }
-        if let Some(at) = state.updated_at {
-            self.age.set(clock::instant().saturating_duration_since(at).as_secs_f64());
+        let now = clock::instant();
+        if let Some(at) = state.values.oldest(now) {
+            self.age.set(now.saturating_duration_since(at).as_secs_f64());
             families.extend(self.age.collect());
         }
         for (gauge, value) in &self.reported {
-            if let Some(value) = value(&state) {
+            if let Some(value) = value(&state.values, now) {
                 gauge.set(value);
                 families.extend(gauge.collect());
             }

@@ -5,6 +5,7 @@
 //! [`Connector`].
 
 pub mod actor;
+mod automatic_updates;
 pub mod clock;
 mod connector;
 mod curve;

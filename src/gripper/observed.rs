@@ -2,18 +2,34 @@
 
 use std::time::{Duration, Instant};
 
-use super::model::{CommandId, UpdateMode, UpdateRules};
-use crate::wsg::{Command, Data, GripperState, SystemState, Temperature, Updates, id};
+use super::Now;
+use super::automatic_updates::{UPDATED, period_ms};
+use super::limits::{FASTEST_MM_S, STRONGEST_N, WIDEST_MM};
+use super::model::{CommandId, LinkClock, Measured, Missing, UpdateMode, UpdateRules, Values};
+use crate::wsg::{Data, GripperState, SystemState, id};
 
-/// Getters with automatic updates.
-const UPDATED: [u8; 5] = [id::GET_SYSTEM_STATE, id::GET_GRIPPER_STATE, id::GET_WIDTH, id::GET_SPEED, id::GET_FORCE];
+/// Periods that a value can miss before it counts as unknown.
+const GOOD_PERIODS: u32 = 5;
 
-/// Bytes of one frame of each getter in [`UPDATED`].
-const UPDATE_BYTES: u32 = 14 + 11 + 14 + 14 + 14;
+/// Shortest time for which a value is good: a short disturbance of the line must not make it unknown.
+const GOOD_FOR_AT_LEAST: Duration = Duration::from_millis(500);
 
-/// Silence of a getter after which its updates are switched on again; on a slow line, a few periods if that is longer.
-/// A device that refuses updates answers each time with the value, so it is polled at this period.
-const RENEW_AFTER: Duration = Duration::from_secs(1);
+/// Period at which values are polled that the device sends only when they change, unless its own period is longer. Five
+/// of them pass before a value counts as unknown.
+const POLLED_EVERY: Duration = Duration::from_millis(300);
+
+/// Period of reading the temperature, which has no automatic updates (`fw4-en 3.4.7`) and changes slowly.
+pub(super) const TEMPERATURE_EVERY: Duration = Duration::from_secs(5);
+
+/// Polls of the temperature that can fail before it counts as unknown.
+const TEMPERATURE_POLLS: u32 = 3;
+
+/// Period from which a line counts as slow: a client's longest frame can delay an update for longer than a restart.
+const SLOW_PERIOD: Duration = Duration::from_millis(100);
+
+/// Silence of the flags after which a device on a slow line may have restarted; a few periods if that is longer. On
+/// another line, the device may have restarted as soon as the flags have to be requested.
+const MISSED_AFTER: Duration = Duration::from_secs(1);
 
 /// Periods without an update after which updates count as stopped.
 const MISSED_PERIODS: u32 = 3;
@@ -29,29 +45,40 @@ pub(super) struct HeldPart {
 
 #[derive(Debug, Default)]
 pub(super) struct Observed {
-    pub flags: Option<SystemState>,
-    pub gripper_state: Option<GripperState>,
+    pub values: Values,
     /// Whether the ERROR that the device reports remains from an acknowledged FAST STOP (`fw4-en 3.4.2`).
     error_is_acknowledged: bool,
-    pub width_mm: Option<f32>,
-    pub speed_mm_s: Option<f32>,
-    pub force_n: Option<f32>,
-    pub temperature: Option<Temperature>,
     /// Time at which the temperature is read next.
     pub temperature_at: Option<Instant>,
-    pub updated_at: Option<Instant>,
     pub part: HeldPart,
-    /// Time at which each getter of [`UPDATED`] was last heard.
-    heard: [Option<Instant>; UPDATED.len()],
-    /// Time at which each getter was last heard or requested.
+    /// Time at which each getter of [`UPDATED`] was last heard or requested.
     fresh: [Option<Instant>; UPDATED.len()],
     /// Period of the automatic updates.
     pub period: Duration,
+    /// Time for which a value is good without a further frame.
+    pub good_for: Duration,
+    /// Silence of a getter after which its updates are switched on again. A device that refuses updates answers each
+    /// time with the value, so it is polled at this period.
     renew_after: Duration,
+    /// Silence of the flags after which they were missed.
+    missed_after: Duration,
     /// Whether values arrive only when they have changed.
     is_on_change: bool,
-    /// Whether the flags came more often than they were requested, that is, by automatic updates.
+    /// Whether the flags were requested since they were last heard.
+    flags_requested: bool,
+    /// Whether the last flags came by themselves, that is, by automatic updates.
     flows: bool,
+    /// Whether the last flags, and the last gripper state, were not believed alone.
+    doubted: [bool; 2],
+    /// Values that were reported as missing.
+    reported: Vec<(&'static str, Missing)>,
+}
+
+/// Values that became unknown since the last report, with their reason, and values that are known again.
+#[derive(Debug, Default)]
+pub(super) struct MissingReport {
+    pub lost: Vec<(&'static str, Missing)>,
+    pub found: Vec<&'static str>,
 }
 
 impl Observed {
@@ -66,10 +93,39 @@ impl Observed {
         let period = Duration::from_millis(period_ms(rules, bytes_per_second).into());
         self.period = period;
         self.is_on_change = rules.mode == UpdateMode::Changes;
-        // A device whose values do not change sends nothing. It is polled after one period, so that its replies arrive
-        // before the link counts as unresponsive.
-        let periods = if self.is_on_change { 1 } else { MISSED_PERIODS };
-        self.renew_after = RENEW_AFTER.max(periods * period);
+        let renewals_every = if self.is_on_change { POLLED_EVERY.max(period) } else { period };
+        self.good_for = GOOD_FOR_AT_LEAST.max(GOOD_PERIODS * renewals_every);
+        // Values are requested early enough for a second request before they become unknown.
+        self.renew_after = if self.is_on_change { renewals_every } else { self.good_for / 2 };
+        let is_slow = period > SLOW_PERIOD;
+        self.missed_after = if is_slow { MISSED_AFTER.max(MISSED_PERIODS * period) } else { self.renew_after };
+    }
+
+    /// Notes that a link was set up: the device should report its values from now on.
+    pub(super) fn link_set_up(&mut self, now: Instant, has_temperature: bool) {
+        let until = now + self.good_for;
+        self.values.flags.expect(until);
+        self.values.state.expect(until);
+        self.values.speed.expect(until);
+        self.values.force.expect(until);
+        if self.has(SystemState::REFERENCED) {
+            self.values.width.expect(until);
+        }
+        self.temperature_at = has_temperature.then_some(now);
+        if has_temperature {
+            self.values.temperature.expect(now + TEMPERATURE_EVERY * TEMPERATURE_POLLS);
+        }
+    }
+
+    /// Notes the beginning of a connection.
+    pub(super) fn link_up(&mut self, now: Now) {
+        self.values.clock = Some(LinkClock { instant: now.instant, wall: now.exact });
+    }
+
+    /// Notes that nothing is known without a link.
+    pub(super) fn link_down(&mut self) {
+        self.values.forget();
+        self.reported.clear();
     }
 
     /// Whether the flags arriving now were overdue. A device that restarts forgets its automatic updates. Updates on
@@ -78,45 +134,92 @@ impl Observed {
         if self.is_on_change {
             return false;
         }
-        let [Some(heard), ..] = self.heard else { return false };
-        let silence = now.saturating_duration_since(heard);
-        let missed = self.flows && silence >= self.renew_after;
-        self.flows = silence < self.renew_after / 2;
+        let Some(heard) = self.values.flags.arrived_at() else { return false };
+        let is_late = now.saturating_duration_since(heard) >= self.missed_after;
+        let missed = self.flows && self.flags_requested && is_late;
+        self.flows = !self.flags_requested;
         missed
+    }
+
+    /// Notes an alarming value. Returns whether it is the first of its getter, which is not believed alone. Any value that
+    /// is taken ends the doubt.
+    pub(super) fn doubt(&mut self, data: &Data) -> bool {
+        let index = usize::from(matches!(data, Data::GripperState(_)));
+        self.doubted.get_mut(index).is_some_and(|doubted| !std::mem::replace(doubted, true))
     }
 
     /// Takes a value from the device.
     pub(super) fn take(&mut self, now: Instant, data: &Data) {
+        let good_for = self.good_for;
         let id = match *data {
             Data::SystemState(flags) => {
-                self.flags = Some(flags);
+                self.doubted[0] = false;
+                self.take_flags(now, flags);
                 id::GET_SYSTEM_STATE
             }
             Data::GripperState(state) => {
+                self.doubted[1] = false;
                 self.part.is_held = self.holds_part_in(state);
-                self.gripper_state = Some(state);
+                self.values.state.take(now, state, good_for);
                 self.error_is_acknowledged &= state == GripperState::Error;
                 id::GET_GRIPPER_STATE
             }
             Data::Width(width) => {
-                self.width_mm = Some(width.mm());
+                if self.has(SystemState::REFERENCED) {
+                    take_within(&mut self.values.width, now, (width, width.mm(), WIDEST_MM), good_for);
+                }
                 id::GET_WIDTH
             }
             Data::Speed(speed) => {
-                self.speed_mm_s = Some(speed.mm_s());
+                take_within(&mut self.values.speed, now, (speed, speed.mm_s(), FASTEST_MM_S), good_for);
                 id::GET_SPEED
             }
             Data::Force(force) => {
-                self.force_n = Some(force.n());
+                take_within(&mut self.values.force, now, (force, force.n(), STRONGEST_N), good_for);
                 id::GET_FORCE
+            }
+            Data::Temperature(temperature) => {
+                return self.values.temperature.take(now, temperature, TEMPERATURE_EVERY * TEMPERATURE_POLLS);
             }
             _ => return,
         };
-        self.updated_at = Some(now);
-        self.asked(now, id);
-        if let Some(index) = UPDATED.iter().position(|&updated| updated == id) {
-            self.heard[index] = Some(now);
+        self.heard_or_requested(now, id);
+    }
+
+    fn take_flags(&mut self, now: Instant, flags: SystemState) {
+        self.values.flags.take(now, flags, self.good_for);
+        self.flags_requested = false;
+        if !flags.contains(SystemState::REFERENCED) {
+            self.values.width.forget();
+        } else if !self.values.width.is_expected() {
+            self.values.width.expect(now + self.good_for);
         }
+    }
+
+    /// Notes that a getter returned something else than its value.
+    pub(super) fn lose(&mut self, id: u8, missing: Missing) {
+        match id {
+            id::GET_SYSTEM_STATE => self.values.flags.lose(missing),
+            id::GET_GRIPPER_STATE => self.values.state.lose(missing),
+            id::GET_WIDTH => self.values.width.lose(missing),
+            id::GET_SPEED => self.values.speed.lose(missing),
+            id::GET_FORCE => self.values.force.lose(missing),
+            id::GET_TEMPERATURE => self.values.temperature.lose(missing),
+            _ => {}
+        }
+    }
+
+    /// Returns the values that have become missing or known again since the last call.
+    pub(super) fn report(&mut self, now: Instant) -> Option<MissingReport> {
+        let missing: Vec<_> = self.values.missing(now).collect();
+        if missing == self.reported {
+            return None;
+        }
+        let lost = missing.iter().filter(|missing| !self.reported.contains(missing)).copied().collect();
+        let is_missing = |name| missing.iter().any(|(missing, _)| *missing == name);
+        let found = self.reported.iter().map(|(name, _)| *name).filter(|name| !is_missing(*name)).collect();
+        self.reported = missing;
+        Some(MissingReport { lost, found })
     }
 
     /// Whether a part is held in this state. A FAST STOP ends HOLDING, but the part may still be between the fingers.
@@ -126,16 +229,39 @@ impl Observed {
             GripperState::Holding => true,
             GripperState::NoPart | GripperState::PartLost => false,
             GripperState::Idle => {
-                let tells_nothing = matches!(self.gripper_state, None | Some(GripperState::Idle | GripperState::Error));
+                let tells_nothing = matches!(self.last_state(), None | Some(GripperState::Idle | GripperState::Error));
                 self.part.is_held && (tells_nothing || self.has(SystemState::FAST_STOP))
             }
             _ => self.part.is_held,
         }
     }
 
-    /// Whether every value was heard since `then`.
+    /// Whether every value that is expected arrived since `then`.
     pub(super) fn is_newer_than(&self, then: Instant) -> bool {
-        self.heard.iter().all(|heard| heard.is_some_and(|heard| heard > then))
+        let Values { flags, state, width, speed, force, .. } = &self.values;
+        let arrivals = [flags.arrived_at(), state.arrived_at(), speed.arrived_at(), force.arrived_at()];
+        let is_newer = |arrived_at: Option<Instant>| arrived_at.is_some_and(|arrived_at| arrived_at > then);
+        arrivals.into_iter().all(is_newer) && (!width.is_expected() || is_newer(width.arrived_at()))
+    }
+
+    /// Whether the device sends its values by itself, again and again.
+    pub(super) fn flows(&self) -> bool {
+        self.flows && !self.is_on_change
+    }
+
+    /// Whether values arrive only when they have changed.
+    pub(super) fn is_on_change(&self) -> bool {
+        self.is_on_change
+    }
+
+    /// The newest flags, however old they are.
+    pub(super) fn last_flags(&self) -> Option<SystemState> {
+        self.values.flags.last()
+    }
+
+    /// The newest gripper state, however old it is.
+    pub(super) fn last_state(&self) -> Option<GripperState> {
+        self.values.state.last()
     }
 
     /// Notes an acknowledgement. ERROR persists after it until the next motion (`fw4-en 3.4.2`).
@@ -145,29 +271,30 @@ impl Observed {
 
     /// Whether the device reports an error that nobody has acknowledged.
     pub(super) fn has_error(&self) -> bool {
-        self.gripper_state == Some(GripperState::Error) && !self.error_is_acknowledged
+        self.last_state() == Some(GripperState::Error) && !self.error_is_acknowledged
     }
 
-    /// Whether a flag is known to be set.
+    /// Whether a flag was set when the flags were last heard.
     pub(super) fn has(&self, flag: SystemState) -> bool {
-        self.flags.is_some_and(|flags| flags.contains(flag))
+        self.last_flags().is_some_and(|flags| flags.contains(flag))
     }
 
     /// Whether the device shows a fault or an error. Firmware 2 has no error state and reserves its number.
     pub(super) fn shows_fault(&self) -> bool {
-        let is_error = self.gripper_state.is_some_and(|state| state.code() >= GripperState::Error.code());
-        is_error || self.flags.is_some_and(|flags| flags.intersects(SystemState::FAULTS | SystemState::CMD_FAILURE))
+        let is_error = self.last_state().is_some_and(|state| state.code() >= GripperState::Error.code());
+        is_error
+            || self.last_flags().is_some_and(|flags| flags.intersects(SystemState::FAULTS | SystemState::CMD_FAILURE))
     }
 
-    /// The newest value of a getter with automatic updates, in the form of its reply.
-    pub(super) fn newest(&self, id: u8) -> Option<Data> {
-        use crate::wsg::{Force, Speed, Width};
+    /// The value of a getter with automatic updates, in the form of its reply, unless it is unknown.
+    pub(super) fn value(&self, id: u8, now: Instant) -> Option<Data> {
+        let values = &self.values;
         match id {
-            id::GET_SYSTEM_STATE => self.flags.map(Data::SystemState),
-            id::GET_GRIPPER_STATE => self.gripper_state.map(Data::GripperState),
-            id::GET_WIDTH => self.width_mm.and_then(|mm| Width::new(mm).ok()).map(Data::Width),
-            id::GET_SPEED => self.speed_mm_s.and_then(|mm_s| Speed::new(mm_s).ok()).map(Data::Speed),
-            id::GET_FORCE => self.force_n.and_then(|n| Force::new(n).ok()).map(Data::Force),
+            id::GET_SYSTEM_STATE => values.flags.at(now).map(Data::SystemState),
+            id::GET_GRIPPER_STATE => values.state.at(now).map(Data::GripperState),
+            id::GET_WIDTH => values.width.at(now).map(Data::Width),
+            id::GET_SPEED => values.speed.at(now).map(Data::Speed),
+            id::GET_FORCE => values.force.at(now).map(Data::Force),
             _ => None,
         }
     }
@@ -191,90 +318,37 @@ impl Observed {
     }
 
     /// Notes that a getter was requested, so that it is not requested again at once.
-    pub(super) fn asked(&mut self, now: Instant, id: u8) {
+    pub(super) fn requested(&mut self, now: Instant, id: u8) {
+        self.flags_requested |= id == id::GET_SYSTEM_STATE;
+        self.heard_or_requested(now, id);
+    }
+
+    fn heard_or_requested(&mut self, now: Instant, id: u8) {
         if let Some(index) = UPDATED.iter().position(|&updated| updated == id) {
             self.fresh[index] = Some(now);
         }
     }
 }
 
-/// Requests that switch on all automatic updates, at a period that the line can carry.
-pub(super) fn switch_on_all(rules: UpdateRules, bytes_per_second: Option<u32>) -> impl Iterator<Item = Command> {
-    UPDATED.into_iter().filter_map(move |id| switch_on(id, rules, bytes_per_second))
-}
-
-/// Requests that switch off all automatic updates. The flags are last, so that a motion is still noticed meanwhile.
-pub(super) fn switch_off_all() -> impl Iterator<Item = Command> {
-    UPDATED.into_iter().rev().filter_map(|id| request(id, Updates::Off))
-}
-
-/// Request that switches on the updates of one getter.
-pub(super) fn switch_on(id: u8, rules: UpdateRules, bytes_per_second: Option<u32>) -> Option<Command> {
-    request(id, updates(rules, bytes_per_second))
-}
-
-fn request(id: u8, updates: Updates) -> Option<Command> {
-    Some(match id {
-        id::GET_SYSTEM_STATE => Command::GetSystemState(updates),
-        id::GET_GRIPPER_STATE => Command::GetGripperState(updates),
-        id::GET_WIDTH => Command::GetWidth(updates),
-        id::GET_SPEED => Command::GetSpeed(updates),
-        id::GET_FORCE => Command::GetForce(updates),
-        _ => return None,
-    })
-}
-
-/// Request that reads the flags, and leaves their automatic updates on.
-pub(super) fn read_flags(rules: UpdateRules, bytes_per_second: Option<u32>) -> Command {
-    Command::GetSystemState(updates(rules, bytes_per_second))
-}
-
-fn updates(rules: UpdateRules, bytes_per_second: Option<u32>) -> Updates {
-    // Periodic updates are the default, because the next update corrects a value that a damaged frame has lost.
-    let on_change = rules.mode == UpdateMode::Changes;
-    Updates::On { on_change, period_ms: period_ms(rules, bytes_per_second) }
-}
-
-/// Period of the updates: the shortest allowed, or longer if the updates of all devices would otherwise take more than
-/// half of the line's capacity.
-pub(super) fn period_ms(rules: UpdateRules, bytes_per_second: Option<u32>) -> u16 {
-    let UpdateRules { min_period_ms, devices_on_line, .. } = rules;
-    let Some(bytes_per_second) = bytes_per_second else { return min_period_ms };
-    let half_the_line = (2 * 1000 * UPDATE_BYTES).saturating_mul(devices_on_line).div_ceil(bytes_per_second.max(1));
-    u16::try_from(half_the_line).unwrap_or(u16::MAX).max(min_period_ms)
+/// Takes a number, unless its magnitude is one that no gripper can have.
+fn take_within<T: Copy + PartialEq>(
+    measured: &mut Measured<T>,
+    now: Instant,
+    (value, number, greatest): (T, f32, f32),
+    good_for: Duration,
+) {
+    if number.abs() <= greatest {
+        measured.take(now, value, good_for);
+    } else {
+        measured.lose(Missing::Impossible);
+    }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::automatic_updates::switch_on;
     use super::*;
-
-    #[test]
-    fn updates_take_at_most_half_of_the_line() {
-        let period_ms = |line| period_ms(UpdateRules::default(), line);
-        assert_eq!(period_ms(None), 10);
-        assert_eq!(period_ms(Some(11_520)), 12, "115200 baud");
-        assert_eq!(period_ms(Some(960)), 140, "9600 baud");
-        assert_eq!(period_ms(Some(100_000)), 10);
-    }
-
-    #[test]
-    fn devices_on_one_line_share_half_of_it() {
-        let can = "can://can0".parse::<crate::transport::Address>().unwrap().properties().bytes_per_second;
-        for (devices_on_line, expected_ms) in [(1, 10), (2, 12), (4, 23), (16, 91)] {
-            let rules = UpdateRules { devices_on_line, ..UpdateRules::default() };
-            let period_ms = period_ms(rules, can);
-            assert_eq!(period_ms, expected_ms, "{devices_on_line}");
-            // 21 bits a byte, at 500 kbit/s.
-            let load = f64::from(devices_on_line * UPDATE_BYTES * 21) * 1000.0 / f64::from(period_ms);
-            assert!(load <= 250_000.0, "{devices_on_line} devices take {load} bit/s");
-        }
-    }
-
-    #[test]
-    fn configured_period_is_the_shortest() {
-        let rules = UpdateRules { min_period_ms: 50, ..UpdateRules::default() };
-        assert_eq!([None, Some(11_520), Some(960)].map(|line| period_ms(rules, line)), [50, 50, 140]);
-    }
+    use crate::wsg::{Command, Force, Speed, Updates, Width};
 
     #[test]
     fn updates_on_change_are_polled_and_never_missed() {
@@ -288,32 +362,70 @@ mod tests {
             assert!(!observed.were_missed(now));
             observed.take(now, &Data::SystemState(SystemState::REFERENCED));
         }
-        assert_eq!(observed.next_silent(), Some(now + RENEW_AFTER));
+        assert_eq!(observed.next_silent(), Some(now + Duration::from_millis(500)));
     }
 
     #[test]
     fn only_automatic_updates_are_missed() {
         let mut observed = Observed::new(UpdateRules::default(), None);
         let mut now = Instant::now();
-        let mut hear_after = |milliseconds| {
-            now += Duration::from_millis(milliseconds);
-            let missed = observed.were_missed(now);
-            observed.take(now, &Data::SystemState(SystemState::empty()));
-            missed
-        };
         for _ in 0..5 {
-            assert!(!hear_after(1000), "polled");
+            now += Duration::from_secs(1);
+            observed.requested(now, id::GET_SYSTEM_STATE);
+            assert!(!flags_were_missed(&mut observed, now), "polled");
         }
-        assert!(!hear_after(10) && !hear_after(10));
-        assert!(hear_after(1000));
-        assert!(!hear_after(1000), "polled since");
+        for after_ms in [10, 10, 250] {
+            now += Duration::from_millis(after_ms);
+            assert!(!flags_were_missed(&mut observed, now), "late, but not by a restart");
+        }
+        now += Duration::from_secs(1);
+        observed.requested(now, id::GET_SYSTEM_STATE);
+        assert!(flags_were_missed(&mut observed, now));
+        now += Duration::from_secs(1);
+        assert!(!flags_were_missed(&mut observed, now), "polled since");
+    }
+
+    fn flags_were_missed(observed: &mut Observed, now: Instant) -> bool {
+        let missed = observed.were_missed(now);
+        observed.take(now, &Data::SystemState(SystemState::empty()));
+        missed
     }
 
     #[test]
-    fn slow_lines_get_a_few_periods() {
-        let renew_after = |line| Observed::new(UpdateRules::default(), Some(line)).renew_after;
-        assert_eq!(renew_after(11_520), Duration::from_secs(1));
-        assert_eq!(renew_after(120), Duration::from_millis(3351), "1200 baud");
+    fn values_are_good_for_five_periods() {
+        let times = |rules, line| {
+            let observed = Observed::new(rules, line);
+            [observed.renew_after, observed.good_for].map(|time| time.as_millis())
+        };
+        let periodic = UpdateRules::default();
+        assert_eq!(times(periodic, None), [250, 500]);
+        assert_eq!(times(periodic, Some(11_520)), [250, 500]);
+        assert_eq!(times(periodic, Some(960)), [350, 700], "9600 baud");
+        assert_eq!(times(periodic, Some(120)), [2792, 5585], "1200 baud");
+        let on_change = UpdateRules { mode: UpdateMode::Changes, ..periodic };
+        assert_eq!(times(on_change, None), [300, 1500]);
+    }
+
+    #[test]
+    fn each_value_becomes_unknown_by_itself() {
+        let mut observed = Observed::new(UpdateRules::default(), None);
+        let start = Instant::now();
+        observed.take(start, &Data::SystemState(SystemState::REFERENCED));
+        observed.link_set_up(start, false);
+        observed.take(start, &Data::Width(Width::new(80.0).unwrap()));
+        let later = start + Duration::from_millis(400);
+        observed.take(later, &Data::Speed(Speed::new(0.0).unwrap()));
+        observed.take(later, &Data::Force(Force::new(1e9).unwrap()));
+        let now = start + Duration::from_millis(600);
+        assert_eq!(observed.values.stale(now).collect::<Vec<_>>(), ["state", "flags", "width_mm", "force_n"]);
+        assert_eq!((observed.values.width_mm(now), observed.values.speed_mm_s(now)), (None, Some(0.0)));
+        let report = observed.report(now).unwrap();
+        assert_eq!((report.lost.len(), report.found.len()), (4, 0));
+        assert!(report.lost.contains(&("force_n", Missing::Impossible)));
+        assert!(report.lost.contains(&("width_mm", Missing::Silent)));
+        assert!(observed.report(now).is_none(), "reported once");
+        observed.take(now, &Data::Width(Width::new(12.0).unwrap()));
+        assert_eq!(observed.report(now).unwrap().found, ["width_mm"]);
     }
 
     #[test]
@@ -342,8 +454,8 @@ mod tests {
     fn width_updates_are_not_missed_before_referencing() {
         let mut observed = Observed::new(UpdateRules::default(), None);
         let start = Instant::now();
-        observed.asked(start, id::GET_WIDTH);
-        let later = start + RENEW_AFTER;
+        observed.requested(start, id::GET_WIDTH);
+        let later = start + observed.renew_after;
         assert_eq!(observed.silent(later), None);
         observed.take(later, &Data::SystemState(SystemState::REFERENCED));
         assert_eq!(observed.silent(later), Some(id::GET_WIDTH));

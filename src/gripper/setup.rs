@@ -270,12 +270,12 @@ fn is_switch_on(command: &Command) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::gripper::automatic_updates;
     use crate::gripper::model::UpdateRules;
-    use crate::gripper::observed;
     use crate::wsg::{DeviceType, Firmware, Speed, SystemState, Width};
 
     fn switch_on() -> impl Iterator<Item = Command> {
-        observed::switch_on_all(UpdateRules::default(), None)
+        automatic_updates::switch_on_all(UpdateRules::default(), None)
     }
 
     fn system(serial_number: u32) -> Reply {

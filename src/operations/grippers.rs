@@ -10,7 +10,7 @@ use super::operation::{Operation, ready};
 use super::problem::Problem;
 use super::reply::Json;
 use crate::gripper::model::{GripperStatus, State};
-use crate::gripper::{Handle, Info};
+use crate::gripper::{Handle, Info, Now};
 use crate::trends::Trend;
 
 pub const LIST: Operation = Operation::read("grippers", "/grippers", |call| ready(list(&call)));
@@ -41,7 +41,7 @@ fn info(call: &Call) -> Result<Json<Arc<Info>>, Problem> {
 
 fn status(call: &Call) -> Result<Json<GripperStatus>, Problem> {
     let (gripper, NoFields {}) = call.gripper_and_fields()?;
-    Ok(Json(GripperStatus::of(&gripper.with_lease(None)?.handle.state())))
+    Ok(Json(GripperStatus::of(&gripper.with_lease(None)?.handle.state(), Now::read().instant)))
 }
 
 fn state(call: &Call) -> Result<Json<Arc<State>>, Problem> {

@@ -11,6 +11,7 @@ pub(crate) mod alarms;
 pub mod audit;
 mod call;
 mod caller;
+pub(crate) mod clock;
 pub(crate) mod commands;
 pub(crate) mod connection;
 mod connection_lease;

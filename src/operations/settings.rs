@@ -12,7 +12,7 @@ use super::problem::Problem;
 use super::reply::Json;
 use super::values::{acceleration, force, width};
 use crate::gripper::model::Code;
-use crate::gripper::{Failure, Rejection};
+use crate::gripper::{Failure, Now, Rejection};
 use crate::wsg::{self, Data, DeviceTag, InvalidDeviceTag, SoftLimits, Status, SystemState};
 
 const ACCELERATION: &str = "/grippers/{gripper}/settings/acceleration";
@@ -231,13 +231,18 @@ fn overdrive_of(gripper: &Gripper, state: SystemState) -> Json<OverdriveAnswer> 
 fn get_overdrive(call: &Call) -> SettingResult<OverdriveAnswer> {
     let (gripper, NoFields {}) = call.gripper_and_fields()?;
     let state = gripper.handle.state();
-    let never_heard = || Failure::LinkDown {
-        link: state.link,
-        url: gripper.handle.info().url.clone(),
-        cause: state.link_cause.clone(),
+    let now = Now::read().instant;
+    if let Some(flags) = state.values.flags(now) {
+        return Ok(overdrive_of(&gripper, flags));
+    }
+    let failure = match state.values.flags.missing(now) {
+        Some(missing) => Failure::ValueUnknown { command: "GetSystemState", cause: missing.to_string() },
+        None => {
+            let url = gripper.handle.info().url.clone();
+            Failure::LinkDown { link: state.link, url, cause: state.link_cause.clone() }
+        }
     };
-    let flags = state.flags_raw.ok_or_else(never_heard)?;
-    Ok(overdrive_of(&gripper, SystemState::from_bits_retain(flags)))
+    Err(failure.into())
 }
 
 async fn set_overdrive(call: Call) -> SettingResult<OverdriveAnswer> {

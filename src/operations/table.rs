@@ -4,8 +4,8 @@ use http::Method as Verb;
 
 use super::operation::Operation;
 use super::{
-    alarms, commands, connection, copy_recipes, device, fast_stop, finger_set, fingers, fleet, grippers, lease, me,
-    motion, raw, recipes, reload, settings, statistics, teach, webhooks,
+    alarms, clock, commands, connection, copy_recipes, device, fast_stop, finger_set, fingers, fleet, grippers, lease,
+    me, motion, raw, recipes, reload, settings, statistics, teach, webhooks,
 };
 use crate::gripper::model::Urgency;
 
@@ -69,6 +69,7 @@ pub const OPERATIONS: &[Operation] = &[
     recipes::REMOVE,
     teach::TEACH,
     statistics::STATISTICS,
+    clock::CLOCK,
     me::ME,
     reload::RELOAD,
     webhooks::LIST,

@@ -118,7 +118,7 @@ impl Device {
     /// Answers a getter (`fw4-en 3.4.1`). A query without updates switches updates off.
     fn query(&mut self, id: u8, updates: Updates) {
         let value = self.value(id);
-        self.subscriptions.set(id, updates, value.clone(), self.clock);
+        self.subscriptions.set(id, updates, Some(value.clone()), self.clock);
         if updates == Updates::Off || self.config.answers_update_requests {
             self.answer(id, Reply::Success(value));
         }

@@ -55,7 +55,7 @@ impl Device {
             self.partial_until,
             self.thermal.crosses(self.config.warning_c, self.clock),
             self.thermal.crosses(self.config.critical_c, self.clock),
-            self.subscriptions.due(true, |id| self.value(id)),
+            self.subscriptions.due(true, |id| Some(self.value(id))),
         ];
         by_itself.into_iter().flatten().min()
     }
@@ -97,7 +97,7 @@ impl Device {
 
     fn take_due_updates(&mut self) -> Vec<(u8, crate::wsg::Data)> {
         let mut subscriptions = std::mem::take(&mut self.subscriptions);
-        let due = subscriptions.take_due(self.clock, true, |id| self.value(id));
+        let due = subscriptions.take_due(self.clock, true, |id| Some(self.value(id)));
         self.subscriptions = subscriptions;
         due
     }

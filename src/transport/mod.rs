@@ -37,6 +37,19 @@ pub struct Pipe {
     /// Bytes to the device, one frame per write. A flush ends when the frame is on the line, so that no frame waits in
     /// a buffer where a FAST STOP cannot overtake it.
     pub writer: Box<dyn AsyncWrite + Send + Unpin>,
+    /// Discards the bytes that the operating system has not sent yet, when the pipe is closed; `None` if there are none.
+    pub discard_unsent: Option<Box<dyn Fn() + Send + Sync>>,
+}
+
+impl Pipe {
+    /// A pipe without bytes in buffers of the operating system.
+    #[must_use]
+    pub fn new(
+        reader: impl AsyncRead + Send + Unpin + 'static,
+        writer: impl AsyncWrite + Send + Unpin + 'static,
+    ) -> Self {
+        Self { reader: Box::new(reader), writer: Box::new(writer), discard_unsent: None }
+    }
 }
 
 impl fmt::Debug for Pipe {

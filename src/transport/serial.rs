@@ -88,7 +88,13 @@ impl SerialAddress {
         let pacer = Pacer::new(self.bytes_per_second());
         let path: Arc<str> = self.path.as_str().into();
         let reader = Reader { port: port.clone(), path: path.clone() };
-        Ok(Pipe { reader: Box::new(reader), writer: Box::new(Writer { port, path, pacer }) })
+        let unsent = port.clone();
+        let discard = move || {
+            // A port that is gone has nothing to send.
+            let _ = unsent.with(|port| port.clear(ClearBuffer::Output));
+        };
+        let pipe = Pipe::new(reader, Writer { port, path, pacer });
+        Ok(Pipe { discard_unsent: Some(Box::new(discard)), ..pipe })
     }
 
     fn open(&self) -> io::Result<SerialStream> {

@@ -3,6 +3,7 @@
 use std::io;
 use std::time::Duration;
 
+use socket2::SockRef;
 use tokio::net::TcpStream;
 use url::Url;
 
@@ -47,7 +48,12 @@ impl TcpAddress {
         })??;
         // A small urgent frame must not wait for the acknowledgement of the previous one.
         stream.set_nodelay(true)?;
+        let socket = SockRef::from(&stream).try_clone()?;
+        let discard = move || {
+            // The end of the connection is then a reset, which a gripper takes for an end without an announcement.
+            let _ = socket.set_linger(Some(Duration::ZERO));
+        };
         let (reader, writer) = stream.into_split();
-        Ok(Pipe { reader: Box::new(reader), writer: Box::new(writer) })
+        Ok(Pipe { discard_unsent: Some(Box::new(discard)), ..Pipe::new(reader, writer) })
     }
 }

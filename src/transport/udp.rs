@@ -99,7 +99,7 @@ impl UdpAddress {
         let socket = UdpSocket::bind((any(device), self.local_port)).await.map_err(|error| self.explain(&error))?;
         let socket = Arc::new(socket);
         let reader = Datagrams { socket: socket.clone(), device: device.ip(), datagram: Vec::new(), taken: 0 };
-        Ok(Pipe { reader: Box::new(reader), writer: Box::new(Sender { socket, device }) })
+        Ok(Pipe::new(reader, Sender { socket, device }))
     }
 
     /// Chooses the next usable address of the host at each attempt, because UDP reports no failed connection.

@@ -84,6 +84,10 @@ pub const MAX_LOOP_BYTES: usize = 256;
 /// field's 65535. This lower limit keeps a false header from blinding the decoder, and exceeds any script in use.
 pub const MAX_OPAQUE_BYTES: usize = 4096;
 
+/// Limit in bytes of fields that a later firmware may have added to a reply. It is small, so that a damaged size blinds
+/// the decoder for a few frames at most.
+pub const MAX_ADDED_BYTES: usize = 64;
+
 /// Size in bytes of the status at the start of a reply.
 pub const STATUS_BYTES: usize = 2;
 
@@ -107,21 +111,35 @@ pub enum LengthRule {
 pub struct DataBytes {
     min: usize,
     max: usize,
+    /// Whether a later firmware can have added fields behind the known ones.
+    is_extensible: bool,
 }
 
 impl DataBytes {
     const fn exactly(bytes: usize) -> Self {
-        Self { min: bytes, max: bytes }
+        Self { min: bytes, max: bytes, is_extensible: bytes > 0 }
     }
 
     const fn between(min: usize, max: usize) -> Self {
-        Self { min, max }
+        Self { min, max, is_extensible: false }
+    }
+
+    /// Largest number of bytes.
+    #[must_use]
+    pub const fn max(self) -> usize {
+        self.max
     }
 
     /// Whether a reply can have `bytes` bytes of data.
     #[must_use]
     pub const fn allow(self, bytes: usize) -> bool {
         bytes >= self.min && bytes <= self.max
+    }
+
+    /// Whether a reply can have `bytes` bytes of data, if a later firmware has added fields behind the known ones.
+    #[must_use]
+    pub const fn allow_more(self, bytes: usize) -> bool {
+        self.allow(bytes) || self.is_extensible && bytes > self.max && bytes <= self.max + MAX_ADDED_BYTES
     }
 }
 
@@ -221,6 +239,23 @@ pub fn is_motion_or_script(id: u8) -> bool {
     is_motion(id) || is_custom(id)
 }
 
+/// Whether `id` changes something on the gripper: it moves the fingers, sets a value or switches a finger's power.
+#[must_use]
+pub fn acts(id: u8) -> bool {
+    is_motion_or_script(id)
+        || matches!(
+            id,
+            SET_ACCELERATION
+                | SET_FORCE_LIMIT
+                | SET_SOFT_LIMITS
+                | CLEAR_SOFT_LIMITS
+                | OVERDRIVE_MODE
+                | TARE_FORCE_SENSOR
+                | FINGER_1_POWER
+                | FINGER_2_POWER
+        )
+}
+
 /// Whether `id` supports automatic updates (`fw4-en 3.4.1`).
 #[must_use]
 pub const fn has_updates(id: u8) -> bool {
@@ -230,7 +265,14 @@ pub const fn has_updates(id: u8) -> bool {
 /// Largest payload in bytes of a reply to `id`: the limit for a [`Decoder`](super::Decoder) of replies.
 #[must_use]
 pub fn max_reply_bytes(id: u8) -> usize {
-    STATUS_BYTES + describe(id).map_or(MAX_OPAQUE_BYTES, |row| row.data.max)
+    let added = |data: DataBytes| if data.is_extensible { MAX_ADDED_BYTES } else { 0 };
+    STATUS_BYTES + describe(id).map_or(MAX_OPAQUE_BYTES, |row| row.data.max + added(row.data))
+}
+
+/// Whether a reply to `id` with this payload has more bytes than the manuals say.
+#[must_use]
+pub fn is_longer_than_its_manual(id: u8, payload_bytes: usize) -> bool {
+    describe(id).is_some_and(|row| payload_bytes > STATUS_BYTES + row.data.max)
 }
 
 /// Largest request payload in bytes that a device reads. It exceeds what each command takes, because a request that is
@@ -260,8 +302,8 @@ mod tests {
     #[test]
     fn reply_size_limit_depends_on_id() {
         assert_eq!(max_reply_bytes(LOOP), 258);
-        assert_eq!(max_reply_bytes(GET_GRIPPER_STATE), 3);
-        assert_eq!(max_reply_bytes(GET_SYSTEM_LIMITS), 34);
+        assert_eq!(max_reply_bytes(GET_GRIPPER_STATE), 3 + 64);
+        assert_eq!(max_reply_bytes(GET_SYSTEM_LIMITS), 34 + 64);
         assert_eq!(max_reply_bytes(0xB0), 4098);
     }
 }

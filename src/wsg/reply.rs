@@ -117,10 +117,11 @@ impl Reply {
         if status != Status::E_SUCCESS {
             return if data.is_empty() { Ok(Self::Status(status)) } else { Err(size) };
         }
-        if !description.data.allow(data.len()) {
+        if !description.data.allow_more(data.len()) {
             return Err(size);
         }
-        Data::parse(id, data).map(Self::Success)
+        let known = data.get(..description.data.max()).unwrap_or(data);
+        Data::parse(id, known).map(Self::Success)
     }
 
     /// Appends the frame of the reply to command `id` to `out`.

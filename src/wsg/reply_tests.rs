@@ -105,3 +105,14 @@ fn impossible_replies_are_rejected() {
     assert!(Reply::parse(0x52, &[0, 0, 7]).is_err(), "a tag has no control characters");
     assert_eq!(Reply::parse(0x40, &[0x67, 0x12]).unwrap(), Reply::Status(Status::from_code(0x1267)));
 }
+
+#[test]
+fn fields_behind_the_known_ones_are_ignored() {
+    let mut payload = vec![0, 0, 3, 1, 0x20, 0x40, 0x67, 0x12, 0, 0];
+    let known = Reply::parse(0x50, &payload).unwrap();
+    payload.extend([9; 64]);
+    assert_eq!(Reply::parse(0x50, &payload).unwrap(), known);
+    payload.push(9);
+    assert!(Reply::parse(0x50, &payload).is_err(), "longer than any added fields");
+    assert!(Reply::parse(0x50, &payload[..9]).is_err(), "a missing field");
+}

@@ -79,6 +79,20 @@ impl Status {
         self.0
     }
 
+    /// Whether the status can only refuse a request. After `E_CMD_PENDING`, it belongs to a duplicate of the request.
+    #[must_use]
+    pub fn only_refuses(self) -> bool {
+        matches!(
+            self,
+            Self::E_NOT_INITIALIZED
+                | Self::E_ALREADY_RUNNING
+                | Self::E_CMD_UNKNOWN
+                | Self::E_CMD_FORMAT_ERROR
+                | Self::E_ACCESS_DENIED
+                | Self::E_INVALID_PARAMETER
+        )
+    }
+
     /// Whether the status can only be a motion's result. As a first reply, it belongs to an earlier request.
     #[must_use]
     pub fn only_ends_a_motion(self) -> bool {

@@ -16,7 +16,8 @@ struct Subscription {
     on_change: bool,
     period: Duration,
     last_at: Instant,
-    last: Data,
+    /// Value sent last; `None` if it was unknown.
+    last: Option<Data>,
 }
 
 /// Active automatic updates.
@@ -24,9 +25,9 @@ struct Subscription {
 pub struct Subscriptions(Vec<Subscription>);
 
 impl Subscriptions {
-    /// Switches the updates of `id` on or off; `value` is the current value. Periodic updates of equal periods share
-    /// one cycle, so that their values are from the same instant.
-    pub fn set(&mut self, id: u8, updates: Updates, value: Data, now: Instant) {
+    /// Switches the updates of `id` on or off; `value` is the current value, if it is known. Periodic updates of equal
+    /// periods share one cycle, so that their values are from the same instant.
+    pub fn set(&mut self, id: u8, updates: Updates, value: Option<Data>, now: Instant) {
         self.0.retain(|subscription| subscription.id != id);
         if let Updates::On { on_change, period_ms } = updates {
             let period = Duration::from_millis(period_ms.max(MIN_PERIOD_MS).into());
@@ -55,21 +56,24 @@ impl Subscriptions {
 
     /// Time of the next update, given the current values from `read`. Never earlier than the period allows. Without
     /// `with_changes`, changes wait.
-    pub fn due(&self, with_changes: bool, read: impl Fn(u8) -> Data) -> Option<Instant> {
+    pub fn due(&self, with_changes: bool, read: impl Fn(u8) -> Option<Data>) -> Option<Instant> {
         let due = |subscription: &Subscription| {
-            let has_changed = || with_changes && has_changed(&subscription.last, &read(subscription.id));
+            let has_changed =
+                || with_changes && has_changed(subscription.last.as_ref(), read(subscription.id).as_ref());
             let waits = subscription.on_change && !has_changed();
             (!waits).then(|| subscription.last_at + subscription.period)
         };
         self.0.iter().filter_map(due).min()
     }
 
-    /// Returns the updates due at `now`, with their values from `read`. Without `with_changes`, changes wait.
-    pub fn take_due(&mut self, now: Instant, with_changes: bool, read: impl Fn(u8) -> Data) -> Vec<(u8, Data)> {
+    /// Returns the updates due at `now`, with their values from `read`. An unknown value has none. Without
+    /// `with_changes`, changes wait.
+    pub fn take_due(&mut self, now: Instant, with_changes: bool, read: impl Fn(u8) -> Option<Data>) -> Vec<(u8, Data)> {
         let mut taken = Vec::new();
         for subscription in &mut self.0 {
             let value = read(subscription.id);
-            let waits = subscription.on_change && !(with_changes && has_changed(&subscription.last, &value));
+            let has_changed = with_changes && has_changed(subscription.last.as_ref(), value.as_ref());
+            let waits = subscription.on_change && !has_changed;
             if waits || now < subscription.last_at + subscription.period {
                 continue;
             }
@@ -77,19 +81,22 @@ impl Subscriptions {
             let next = subscription.last_at + subscription.period;
             let is_late = now >= next + subscription.period;
             subscription.last_at = if subscription.on_change || is_late { now } else { next };
-            subscription.last = value.clone();
-            taken.push((subscription.id, value));
+            if let Some(value) = value {
+                subscription.last = Some(value.clone());
+                taken.push((subscription.id, value));
+            }
         }
         taken
     }
 }
 
-/// Compares values by the manual's thresholds in mm, mm/s and N.
-fn has_changed(last: &Data, value: &Data) -> bool {
+/// Compares values by the manual's thresholds in mm, mm/s and N. A value that becomes unknown is no change.
+fn has_changed(last: Option<&Data>, value: Option<&Data>) -> bool {
     match (last, value) {
-        (Data::Width(last), Data::Width(value)) => differ(last.mm(), value.mm(), 0.01),
-        (Data::Speed(last), Data::Speed(value)) => differ(last.mm_s(), value.mm_s(), 0.05),
-        (Data::Force(last), Data::Force(value)) => differ(last.n(), value.n(), 0.05),
+        (_, None) => false,
+        (Some(Data::Width(last)), Some(Data::Width(value))) => differ(last.mm(), value.mm(), 0.01),
+        (Some(Data::Speed(last)), Some(Data::Speed(value))) => differ(last.mm_s(), value.mm_s(), 0.05),
+        (Some(Data::Force(last)), Some(Data::Force(value))) => differ(last.n(), value.n(), 0.05),
         (last, value) => last != value,
     }
 }

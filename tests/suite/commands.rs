@@ -156,6 +156,7 @@ async fn final_device_status_is_the_outcome_with_200() {
     let gateway = Gateway::connected_to(device.address).await;
     for (kind, id, status, outcome) in ends {
         device.answer(id, vec![PENDING.to_vec(), vec![status, 0]]);
+        device.answer(0x41, vec![vec![0, 0, if outcome == "PART_HELD" { 4 } else { 0 }]]);
         let ended = gateway.post(kind, &quick()).await.outcome(outcome);
         assert_eq!(ended["status_code"], status, "{ended}");
     }

@@ -22,7 +22,10 @@ async fn device_lost_during_a_move_leaves_an_unknown_outcome() {
     let state = gateway.until_link("reconnecting").await;
     assert!(!state["link_cause"].as_str().unwrap().is_empty(), "{state}");
     gateway.post("move", &json!({"width_mm": 40, "speed_mm_s": 100})).await.problem(503, "link_down");
-    gateway.until("two seconds without the device", |state| state["age_ms"].as_u64() > Some(2000)).await;
+    let state = gateway.state().await;
+    for value in ["age_ms", "width_mm", "state", "flags_raw", "fast_stop"] {
+        assert_eq!(state[value], json!(null), "{value} of a device that is not there: {state}");
+    }
 
     proxy.accept();
     let state = gateway.until_link("connected").await;
@@ -257,4 +260,51 @@ async fn release_ends_attempts_to_connect() {
     let connecting = gateway.post("connect", &json!({})).await.ok();
     assert_ne!(connecting["link"], "released", "{connecting}");
     gateway.until_link("connected").await;
+}
+
+#[tokio::test]
+async fn motion_on_a_stalled_link_does_not_start_when_it_heals() {
+    let device = Simulator::start(&[]).await;
+    let proxy = Proxy::to(device.address);
+    let gateway = Gateway::homed_at(proxy.address).await;
+    proxy.stall(true);
+    let ended = gateway.post("move", &json!({"width_mm": 50, "speed_mm_s": 200})).await.outcome("UNKNOWN");
+    assert!(ended["detail"].as_str().unwrap().contains("a Stop behind it"), "{ended}");
+    proxy.stall(false);
+    let state = gateway.until("the Stop arrives", |state| state["flags"].to_string().contains("AXIS_STOPPED")).await;
+    assert!(state["width_mm"].as_f64() > Some(100.0), "{state}");
+    assert_eq!((proxy.frames.count(0x21), proxy.frames.count(0x22)), (1, 1));
+}
+
+#[tokio::test]
+async fn motion_that_was_never_received_ends_with_its_connection() {
+    let device = Simulator::start(&[]).await;
+    let proxy = Proxy::to(device.address);
+    let gateway = Gateway::homed_at(proxy.address).await;
+    proxy.stall(true);
+    gateway.post("move", &json!({"width_mm": 50, "speed_mm_s": 200})).await.outcome("UNKNOWN");
+    gateway.until_link("reconnecting").await;
+    proxy.stall(false);
+    let state = gateway.until("the device's FAST STOP", |state| state["fast_stop"] == true).await;
+    assert_eq!(state["fast_stop_cause"], "unannounced_disconnect", "the unsent bytes are gone with 07h: {state}");
+    let width_mm = state["width_mm"].as_f64();
+    assert!(width_mm > Some(100.0), "{state}");
+}
+
+#[tokio::test]
+async fn cause_of_a_failed_setup_says_what_arrived() {
+    let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = listener.local_addr().unwrap();
+    let echo = tokio::spawn(async move {
+        while let Ok((mut stream, _)) = listener.accept().await {
+            let (mut reader, mut writer) = stream.split();
+            let _ = tokio::io::copy(&mut reader, &mut writer).await;
+        }
+    });
+    let gateway = Gateway::of(address).await;
+    let told = |state: &Value| state["link_cause"].as_str().is_some_and(|cause| cause.contains("returned"));
+    let state = gateway.until("the cause names the echo", told).await;
+    let cause = state["link_cause"].as_str().unwrap();
+    assert!(cause.starts_with("the device does not answer GetSystemInfo: the line returned"), "{cause}");
+    echo.abort();
 }

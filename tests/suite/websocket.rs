@@ -35,6 +35,7 @@ async fn command_is_answered_on_admission_and_notified_at_its_end() {
 fn without_age(state: &Value) -> Value {
     let mut state = state.clone();
     state.as_object_mut().unwrap().remove("age_ms");
+    state.as_object_mut().unwrap().remove("measured_at");
     state
 }
 

@@ -11,6 +11,7 @@ use wsg_gateway::wsg::{self, Acceleration, SystemState, id};
 
 use super::invariants::steps::{
     device, exchange, fast_stop, finish, home, latch, mark, move_to, received, refused, request, run, start, state,
+    values,
 };
 use super::seeds::world::World;
 
@@ -37,7 +38,7 @@ fn lost_reference_reveals_a_restart_and_settings_are_restored() {
     // The gateway renews the automatic updates within a second, and they show the restart.
     world.advance(Duration::from_secs(3));
     assert_eq!(finish(&mut world, &running).outcome, Some(Outcome::Unknown));
-    assert_eq!((state(&world).link, state(&world).referenced), (Link::Connected, Some(false)));
+    assert_eq!((state(&world).link, values(&world).referenced), (Link::Connected, Some(false)));
     assert!((world.device.snapshot().acceleration_mm_s2 - 500.0).abs() < 0.1);
     let received = received(&world, from);
     assert!(received.contains(&id::SET_ACCELERATION), "{received:02X?}");
@@ -54,7 +55,7 @@ fn lost_updates_reveal_a_restart_of_an_unreferenced_device() {
     let from = mark(&world);
     world.device.apply(world.now, reboot(300));
     world.advance(Duration::from_secs(3));
-    assert_eq!((state(&world).link, state(&world).referenced), (Link::Connected, Some(false)));
+    assert_eq!((state(&world).link, values(&world).referenced), (Link::Connected, Some(false)));
     assert!((world.device.snapshot().acceleration_mm_s2 - 500.0).abs() < 0.1);
     assert!(received(&world, from).contains(&id::SET_ACCELERATION));
 }
@@ -117,7 +118,7 @@ fn homing_is_not_taken_for_a_restart() {
     let mut lost_reference = false;
     for _ in 0..500 {
         world.advance(Duration::from_millis(10));
-        lost_reference |= state(&world).referenced == Some(false);
+        lost_reference |= values(&world).referenced == Some(false);
         assert_eq!(state(&world).link, Link::Connected);
     }
     assert!(lost_reference);

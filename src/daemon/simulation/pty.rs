@@ -70,7 +70,7 @@ impl PtySource {
         let pty = Arc::new(self.next.take().ok_or(io::ErrorKind::NotFound)?);
         let pacer = Pacer::new(self.address().bytes_per_second());
         let reader = Reader { pty: pty.clone(), free: interval(FREE_EVERY) };
-        Ok(Pipe { reader: Box::new(reader), writer: Box::new(Writer { pty, pacer, unread_since: None }) })
+        Ok(Pipe::new(reader, Writer { pty, pacer, unread_since: None }))
     }
 
     fn make(&mut self) -> anyhow::Result<()> {

@@ -46,7 +46,7 @@ impl Endpoint {
     pub(super) fn open(&self) -> Pipe {
         let client = Arc::new(Mutex::new(None));
         let reader = Receiver { socket: self.socket.clone(), client: client.clone(), reply_port: self.reply_port };
-        Pipe { reader: Box::new(reader), writer: Box::new(Sender { socket: self.socket.clone(), client }) }
+        Pipe::new(reader, Sender { socket: self.socket.clone(), client })
     }
 }
 

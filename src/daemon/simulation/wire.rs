@@ -113,5 +113,5 @@ async fn accept(listener: &TcpListener) -> io::Result<Pipe> {
 /// Turns a stream into a pipe.
 pub(super) fn pipe(stream: impl tokio::io::AsyncRead + tokio::io::AsyncWrite + Send + 'static) -> Pipe {
     let (reader, writer) = tokio::io::split(stream);
-    Pipe { reader: Box::new(reader), writer: Box::new(writer) }
+    Pipe::new(reader, writer)
 }

@@ -18,7 +18,7 @@ use crate::wsg::{Command, Data, Reply, SystemState, id};
 impl Actor {
     /// Admits or rejects a command.
     pub(super) fn admit(&mut self, now: Now, id: CommandId, submission: &Submission) -> Result<Ticket, Rejection> {
-        let clamped = submission.client.door.speaks_wsg().then(|| self.clamped(submission));
+        let clamped = submission.client.door.speaks_wsg().then(|| self.clamped(now, submission));
         let submission = clamped.as_ref().unwrap_or(submission);
         let keep = self.lease.keep(now.instant, submission.lease.as_ref()).map(Arc::new);
         let replay = self.commands.replay(now.instant, submission);
@@ -101,10 +101,11 @@ impl Actor {
     /// Checks a motion: first its values, then the state of lease, link and gripper.
     fn check_motion(&self, now: Now, motion: &Motion, submission: &Submission) -> Result<(), Rejection> {
         let referenced = self.observed.has(SystemState::REFERENCED);
-        let width = self.observed.width_mm.filter(|_| referenced);
+        let width = self.observed.values.width_mm(now.instant);
         self.settings.limits(&self.observed).check_motion(motion, width)?;
         self.check_claim(now, &submission.client, submission.lease.as_ref())?;
         self.check_link()?;
+        self.check_flags(now)?;
         self.check_moving()?;
         self.recording.check()?;
         if !referenced && !matches!(motion, Motion::Home(_) | Motion::Custom(_)) {
@@ -128,10 +129,12 @@ impl Actor {
     }
 
     /// Clamps the values of a submission to the device's limits, as the device would.
-    fn clamped(&self, submission: &Submission) -> Submission {
+    fn clamped(&self, now: Now, submission: &Submission) -> Submission {
         let action = match &submission.action {
             Action::Motion(motion) => Action::Motion(
-                self.settings.limits(&self.observed).clamp_motion(motion.clone(), self.observed.width_mm),
+                self.settings
+                    .limits(&self.observed)
+                    .clamp_motion(motion.clone(), self.observed.values.width_mm(now.instant)),
             ),
             Action::Stop => Action::Stop,
         };
@@ -172,7 +175,7 @@ impl Actor {
         }
         // A token without a lease renews nothing.
         let _ = self.lease.renew(now.instant, lease);
-        if let Some(data) = self.observed.newest(command.id()) {
+        if let Some(data) = self.observed.value(command.id(), now.instant) {
             // Sending the getter would switch its automatic updates off.
             self.answers.add(answer, Ok(data));
             return;
@@ -220,14 +223,15 @@ impl Actor {
             Command::DisconnectAnnouncement => Err(not_here("the gateway announces its own disconnects")),
             command if command.id() == id::SET_FORCE_LIMIT => Ok(self.motion.check_force_limit()?),
             Command::Custom(_) if self.is_script(command) && client.door.speaks_wsg() => {
+                self.check_flags(now)?;
                 self.check_stopped()?;
                 Ok(self.recording.check()?)
             }
             Command::Custom(_) if self.is_script(command) => {
                 Err(not_here("it can move the fingers; submit it as a command"))
             }
-            command if id::has_updates(command.id()) && self.observed.newest(command.id()).is_none() => {
-                Err(Failure::NoValueYet { command: super::name_of(command) }.into())
+            command if id::has_updates(command.id()) && self.observed.value(command.id(), now.instant).is_none() => {
+                Err(self.no_value(now, command.id()).into())
             }
             _ => Ok(()),
         }

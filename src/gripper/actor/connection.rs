@@ -1,10 +1,10 @@
 //! Effects of the link on the rest of the gripper: connected, set up, silent, lost.
 
 use super::super::Now;
+use super::super::automatic_updates;
 use super::super::error::{Failure, Rejection};
 use super::super::latch;
 use super::super::model::{DeviceEvent, Link, Outcome};
-use super::super::observed;
 use super::super::setup::Setup;
 use super::link::{OwnStop, Purpose};
 use super::running::Running;
@@ -24,6 +24,8 @@ impl Actor {
         let nonce = self.ids.nonce();
         let setup = self.new_setup();
         self.link.open(now.instant, nonce, setup);
+        self.observed.link_up(now);
+        self.start_pacing(now);
         self.metering.link_up();
         // A FAST STOP that the device may not have received goes before everything else.
         self.send_fast_stop_if_due(now);
@@ -35,8 +37,9 @@ impl Actor {
     pub fn link_down(&mut self, now: Now, cause: &str) {
         let token = self.motion.running.as_ref().and_then(Running::token);
         let unwritten = token.is_some_and(|token| self.link.withdraw(token));
-        self.metering.session(self.link.session.as_mut());
+        let _ = self.metering.session(self.link.session.as_mut());
         let in_flight = self.link.down(cause);
+        self.observed.link_down();
         let rejection = Rejection::Failure(self.link.failure());
         self.latch.link_lost(&rejection);
         self.reads.reject_all(&rejection);
@@ -75,6 +78,12 @@ impl Actor {
         self.after_input(now);
     }
 
+    /// Whether a request that was written may act on the gripper later, because nothing shows that it has arrived.
+    #[must_use]
+    pub fn may_act_late(&self) -> bool {
+        self.link.session.as_ref().is_some_and(crate::wsg::session::Session::may_act_late)
+    }
+
     /// Whether the link is up, and the device has been identified.
     #[must_use]
     pub fn is_set_up(&self) -> bool {
@@ -105,12 +114,12 @@ impl Actor {
 
     /// Requests that switch on all automatic updates.
     fn switch_on_updates(&self) -> impl Iterator<Item = Command> + use<> {
-        observed::switch_on_all(self.config.updates, self.link.properties.bytes_per_second)
+        automatic_updates::switch_on_all(self.update_rules(), self.link.properties.bytes_per_second)
     }
 
     /// Request that reads the flags.
     pub(super) fn read_flags(&self) -> Command {
-        observed::read_flags(self.config.updates, self.link.properties.bytes_per_second)
+        automatic_updates::read_flags(self.update_rules(), self.link.properties.bytes_per_second)
     }
 
     fn new_setup(&self) -> Setup {
@@ -150,7 +159,7 @@ impl Actor {
         self.recording.restored(now, &setup.restored, self.settings.wanted);
         for update in self.switch_on_updates() {
             // Updates that do not arrive are switched on again.
-            self.observed.asked(now.instant, update.id());
+            self.observed.requested(now.instant, update.id());
         }
         if let (Some(system), Some(limits)) = (setup.system, setup.limits) {
             self.publication.change_info(|info| info.learn(&system, &limits, setup.tag.as_ref()));
@@ -159,10 +168,11 @@ impl Actor {
             // A motion that a restart ended gets no result from the device.
             session.expect_results(now.instant);
         }
-        self.latch.link_set_up(now.instant, self.observed.flags);
+        self.latch.link_set_up(now.instant, self.observed.last_flags());
+        self.unconfirmed.forget();
         self.metering.set_up(self.link.was_up);
         self.link.ready();
-        self.observed.temperature_at = Some(now.instant);
+        self.observed.link_set_up(now.instant, self.settings.has_temperature());
         tracing::info!(gripper = %name, "link established");
         if let Some(stop) = self.link.owed_stop.take() {
             self.send_owed_stop(now, stop);
@@ -174,14 +184,6 @@ impl Actor {
         let runs = self.observed.has(SystemState::MOVING) && self.motion.mover(now.instant) == stop.motion;
         if runs && stop.motion.is_some() && self.latch.id().is_none() {
             self.link.send_stop(now, stop);
-        }
-    }
-
-    /// Handles silence of the device, and its end.
-    pub(super) fn supervise(&mut self, now: Now) {
-        if self.link.supervise(now.instant) {
-            tracing::info!(gripper = %self.config.name, "device responsive again");
-            self.set_up_again(now);
         }
     }
 

@@ -7,10 +7,10 @@ use std::time::{Duration, Instant};
 use tokio::sync::oneshot;
 
 use super::super::Now;
+use super::super::automatic_updates;
 use super::super::error::{Conflict, Failure, Rejection};
 use super::super::handle::ResultSender;
 use super::super::model::{Client, LeaseToken};
-use super::super::observed;
 use super::Actor;
 use super::link::{Close, OwnStop, Purpose};
 use crate::wsg::{Command, SystemState};
@@ -235,7 +235,7 @@ impl Actor {
                 is_sent = self.submit_last(now, Command::DisconnectAnnouncement);
             } else {
                 is_sent = self.stop_before_leaving(now);
-                for command in observed::switch_off_all() {
+                for command in automatic_updates::switch_off_all() {
                     is_sent |= self.submit_last(now, command);
                 }
             }

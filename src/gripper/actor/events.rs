@@ -1,12 +1,13 @@
 //! Events of the session: updates, acceptances and ends of requests.
 
 use super::super::Now;
+use super::super::automatic_updates;
 use super::super::latch::{LatchChange, Origin};
-use super::super::model::{DeviceEvent, FastStopCause, FastStopStep, SettingChange, UpdateMode};
+use super::super::model::{DeviceEvent, FastStopCause, FastStopStep, Missing, SettingChange, UpdateMode};
 use super::Actor;
-use super::link::{Close, Exchange, Purpose};
+use super::link::{Close, Exchange, OwnStop, Purpose};
 use crate::wsg::session::{End, SessionEvent, Token};
-use crate::wsg::{Command, Data, GripperState, Reply, Status, SystemState};
+use crate::wsg::{Command, Data, GripperState, Reply, Status, SystemState, id};
 
 impl Actor {
     /// Processes all pending events of the session.
@@ -14,6 +15,11 @@ impl Actor {
         while let Some(event) = self.link.poll_event() {
             match event {
                 SessionEvent::Update(data) => self.take_update(now, &data),
+                SessionEvent::NoValue(id, reason) => self.take_no_value(id, reason),
+                SessionEvent::LongReply(id, bytes) => {
+                    tracing::warn!(gripper = %self.config.name, command = id::name(id), bytes,
+                        "reply longer than the manuals say: its known fields are used");
+                }
                 SessionEvent::Accepted(token) => match self.link.purposes.get_mut(&token) {
                     Some(Purpose::Motion(id)) => {
                         let id = *id;
@@ -39,17 +45,21 @@ impl Actor {
 
     fn take_update(&mut self, now: Now, data: &Data) {
         self.metering.metrics.updates.inc();
-        let (before, state_before) = (self.observed.flags, self.observed.gripper_state);
+        let before = self.observed.last_flags();
+        let state_before = self.observed.last_state();
+        if self.link.properties.may_duplicate && self.needs_second_look(now, data) {
+            return;
+        }
         let missed = matches!(data, Data::SystemState(_)) && self.observed.were_missed(now.instant);
         self.observed.take(now.instant, data);
         let flags = match *data {
             Data::SystemState(flags) => flags,
             Data::GripperState(_) => return self.record_gripper_state(now, state_before),
             // The force is the last value of each update period.
-            Data::Force(_) => return self.recording.measure(now, &self.observed),
+            Data::Force(_) => return self.recording.measure(now, &self.observed.values),
             // In this mode, the width can arrive without the other values.
             Data::Width(_) if self.config.updates.mode == UpdateMode::Changes => {
-                return self.recording.measure(now, &self.observed);
+                return self.recording.measure(now, &self.observed.values);
             }
             _ => return,
         };
@@ -92,6 +102,35 @@ impl Actor {
         }
     }
 
+    /// Whether a value would cause an action that a late datagram must not cause alone: it shows a lost reference, a FAST
+    /// STOP that nobody requested, or a lost part. The next value of the same getter then decides.
+    fn needs_second_look(&mut self, now: Now, data: &Data) -> bool {
+        let alarm = match data {
+            Data::SystemState(flags) => {
+                let has_lost = self.observed.has(SystemState::REFERENCED) && !flags.contains(SystemState::REFERENCED);
+                let is_stopped = self.latch.id().is_none() && flags.contains(SystemState::FAST_STOP);
+                has_lost || is_stopped
+            }
+            Data::GripperState(state) => {
+                *state == GripperState::PartLost && self.observed.last_state() != Some(GripperState::PartLost)
+            }
+            _ => return false,
+        };
+        let is_first = alarm && self.observed.doubt(data);
+        if is_first {
+            // A device that sends only changes does not repeat the value by itself.
+            let getter = match data {
+                Data::SystemState(_) => id::GET_SYSTEM_STATE,
+                _ => id::GET_GRIPPER_STATE,
+            };
+            let rules = self.update_rules();
+            if let Some(command) = automatic_updates::switch_on(getter, rules, self.link.properties.bytes_per_second) {
+                let _ = self.link.submit(now, command, Purpose::Upkeep);
+            }
+        }
+        is_first
+    }
+
     /// Notices a restart of the device by the loss of its reference, unless the fingers are being homed by this gateway
     /// or another program. On a transport without connections, the only other signs of a restart are silence and missed
     /// updates.
@@ -116,12 +155,16 @@ impl Actor {
             return self.scripts.rested();
         }
         let begins = before.is_some_and(|before| !moves(before));
+        if begins && !self.motion.is_sent() && self.motion.takes_late_motion(now.instant) {
+            tracing::warn!(gripper = %self.config.name, "late motion stopped: its client was told that its result is unknown");
+            self.link.send_stop(now, OwnStop::new(None));
+        }
         // Scripts are checked before a held part, since a script can release it. After a part is lost, the fingers
         // close further by themselves.
         if !begins || self.motion.is_sent() || self.is_part_lost() || self.script_moves(now) {
             return;
         }
-        let holds = self.observed.gripper_state == Some(GripperState::Holding);
+        let holds = self.observed.last_state() == Some(GripperState::Holding);
         if !holds && !self.motion.may_move(now.instant) {
             tracing::warn!(gripper = %self.config.name, "fingers moving without a command of this gateway");
             self.recording.device(now, DeviceEvent::ForeignMotion);
@@ -144,11 +187,17 @@ impl Actor {
                     self.continue_setup(now);
                 }
             }
-            Purpose::Upkeep => {
-                if let End::Reply(Reply::Success(Data::Temperature(temperature))) = end {
-                    self.observed.temperature = Some(temperature);
+            // The values come as updates.
+            Purpose::Upkeep => {}
+            Purpose::Unconfirmed(setting) => self.unconfirmed_ended(now, setting, end),
+            Purpose::Temperature => match end {
+                End::Reply(Reply::Success(data)) => self.observed.take(now.instant, &data),
+                End::Reply(Reply::Status(status)) => {
+                    self.observed.lose(id::GET_TEMPERATURE, Missing::Refused(status));
                 }
-            }
+                End::Invalid(_) => self.observed.lose(id::GET_TEMPERATURE, Missing::Unreadable),
+                End::Unanswered { .. } | End::NoResult { .. } => {}
+            },
             Purpose::ForceLimit => {
                 if let End::Reply(Reply::Success(data @ Data::ForceLimit(found))) = end
                     && self.settings.wanted.force_limit.is_some_and(|wanted| wanted != found)
@@ -219,6 +268,8 @@ impl Actor {
             }
             end => {
                 let command = super::name_of(&exchange.command);
+                self.note_unanswered(now, &exchange.command, &exchange.client, &end);
+                self.stop_script(now, &exchange.command, &end);
                 // If a setting can't be read back, the reply has the value as sent.
                 let result = match exchange.setter.as_ref().and_then(as_read_back) {
                     Some(data) => {

@@ -107,6 +107,8 @@ fn kind_of(event: &Event) -> Option<String> {
         Detail::Link(link) => format!("link {}", link.link),
         Detail::Device(DeviceEvent::Fault { flags }) => format!("fault {}", flags.join(" ")),
         Detail::Device(DeviceEvent::FaultCleared { flags }) => format!("fault_cleared {}", flags.join(" ")),
+        Detail::Device(DeviceEvent::ValuesUnknown { values, .. }) => format!("values_unknown {}", values.join(" ")),
+        Detail::Device(DeviceEvent::ValuesKnown { values }) => format!("values_known {}", values.join(" ")),
         Detail::Device(DeviceEvent::ForeignMotion) => "foreign_motion".to_owned(),
         Detail::Device(DeviceEvent::Restarted) => "restarted".to_owned(),
         Detail::Device(DeviceEvent::Replaced { .. }) => "replaced".to_owned(),

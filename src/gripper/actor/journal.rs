@@ -4,7 +4,7 @@ use super::super::Now;
 use super::super::model::{AcknowledgeEvent, Client, CommandId, Detail, DeviceEvent, FastStopStep};
 use super::super::recorder::{JournalHealth, Record};
 use super::Actor;
-use crate::wsg::{GripperState, SystemState};
+use crate::wsg::GripperState;
 
 impl Actor {
     /// The next record, and the command that waits for it. [`Actor::recorded`] takes the result.
@@ -66,7 +66,7 @@ impl Actor {
     }
 
     pub(super) fn record_gripper_state(&mut self, now: Now, before: Option<GripperState>) {
-        match self.observed.gripper_state {
+        match self.observed.last_state() {
             state if state == before => {}
             Some(GripperState::PartLost) => self.record_lost_part(now, before.is_none()),
             // The part was released, or the device has restarted.
@@ -88,7 +88,7 @@ impl Actor {
         }
         tracing::warn!(gripper = %self.config.name, "part lost");
         self.metering.metrics.parts_lost.inc();
-        let width_mm = self.observed.width_mm.filter(|_| self.observed.has(SystemState::REFERENCED));
+        let width_mm = self.observed.values.width_mm(now.instant);
         let event = self.recording.event(now, Detail::Device(DeviceEvent::PartLost { width_mm }));
         let event = match grip {
             Some(grip) => event.of(grip),

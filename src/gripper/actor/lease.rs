@@ -141,7 +141,7 @@ impl Actor {
         if let Some(held) = self.lease.expire(now.instant) {
             self.holder_lost(now, &held, LossCause::Expired);
         }
-        let holds_nothing = self.observed.gripper_state.is_some() && !self.observed.part.is_held;
+        let holds_nothing = self.observed.values.state(now.instant).is_some() && !self.observed.part.is_held;
         if holds_nothing && self.motion.running.is_none() && self.link.is_up() {
             self.lease.unreserve();
         }
@@ -181,6 +181,8 @@ impl Actor {
             LossEffect::Finish | LossEffect::Keep => {
                 // A motion that was not sent yet does not begin without its holder.
                 self.withdraw_waiting_motion(now);
+                // Its motion may go on, also one whose result a lost link has made unknown.
+                self.link.owed_stop.take_if(|stop| stop.lost.is_none());
                 // A motion under way can end with a held part.
                 self.lease.reserve(held.holder.clone());
             }

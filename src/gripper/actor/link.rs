@@ -12,6 +12,7 @@ use super::super::handle::ResultSender;
 use super::super::lease::Holder;
 use super::super::model::{Client, CommandId, LeaseToken, Link, Name, WireRecord};
 use super::super::setup::{Setting, Setup, Step};
+use super::arrived::Arrived;
 use super::wire_log::WireLog;
 use super::{REPLY_WITHIN, RESULT_WITHIN, name_of};
 use crate::transport::LinkProperties;
@@ -19,7 +20,7 @@ use crate::wsg::session::{self, End, NotTaken, Session, SessionEvent, Token};
 use crate::wsg::{self, Command, Data, Force, id};
 
 /// Silence after which a link is unresponsive, and motions are refused.
-const UNRESPONSIVE_AFTER: Duration = Duration::from_millis(1500);
+pub(super) const UNRESPONSIVE_AFTER: Duration = Duration::from_millis(1500);
 
 /// Silence after which a link is closed.
 const CLOSED_AFTER: Duration = Duration::from_millis(6500);
@@ -30,8 +31,8 @@ pub enum Close {
     #[error("nothing was heard from the device for {0} ms")]
     Silent(u64),
     /// The device does not answer a request that every gripper must answer.
-    #[error("the device does not answer {0}")]
-    SetupFailed(&'static str),
+    #[error("the device does not answer {0}: {1}")]
+    SetupFailed(&'static str, Arrived),
     /// The device has restarted and has to be set up again. Pending requests are lost.
     #[error("the device restarted and lost its reference")]
     Restarted,
@@ -45,6 +46,9 @@ pub enum Close {
 pub(super) enum Purpose {
     Setup,
     Upkeep,
+    Temperature,
+    /// Reads back a setting whose request was not answered.
+    Unconfirmed(Setting),
     /// Reads the force limit after Overdrive Mode was switched.
     ForceLimit,
     FastStop,
@@ -298,7 +302,8 @@ impl DeviceLink {
                     return Some(setup);
                 }
                 Step::Failed(command) => {
-                    self.close = Some(Close::SetupFailed(command));
+                    let arrived = self.session.as_ref().map(Arrived::at).unwrap_or_default();
+                    self.close = Some(Close::SetupFailed(command, arrived));
                     return None;
                 }
             }
@@ -324,23 +329,36 @@ impl DeviceLink {
         self.unannounced = false;
     }
 
-    /// Time at which continued silence makes the link unresponsive, or closes it.
-    pub(super) fn silence_at(&self) -> Option<Instant> {
-        let session = self.session.as_ref().filter(|_| self.is_up())?;
-        let after = if self.cause.is_some() { CLOSED_AFTER } else { UNRESPONSIVE_AFTER };
-        Some(session.last_heard() + after)
+    /// Whether nothing at all has arrived for this long.
+    pub(super) fn is_silent(&self, now: Instant, time: Duration) -> bool {
+        self.session.as_ref().is_some_and(|session| now.saturating_duration_since(session.last_heard()) >= time)
     }
 
-    /// Handles silence of the device. Returns whether the device is responsive again.
-    pub(super) fn supervise(&mut self, now: Instant) -> bool {
+    /// Time at which continued silence, or that of the flags, makes the link unresponsive, or closes it.
+    pub(super) fn silence_at(&self, flags_end_at: Option<Instant>) -> Option<Instant> {
+        let session = self.session.as_ref().filter(|_| self.is_up())?;
+        if self.cause.is_some() {
+            return Some(session.last_heard() + CLOSED_AFTER);
+        }
+        [Some(session.last_heard() + UNRESPONSIVE_AFTER), flags_end_at].into_iter().flatten().min()
+    }
+
+    /// Handles silence of the device, or `unknown` flags. Returns whether the device is responsive again.
+    pub(super) fn supervise(&mut self, now: Instant, unknown: Option<String>) -> bool {
         let Some(session) = self.session.as_ref().filter(|_| self.is_up()) else { return false };
         let silent_for = now.saturating_duration_since(session.last_heard());
         if silent_for >= CLOSED_AFTER {
             self.close = Some(Close::Silent(silent_for.as_millis() as u64));
-        } else if silent_for < UNRESPONSIVE_AFTER {
+            return false;
+        }
+        let cause = if silent_for >= UNRESPONSIVE_AFTER {
+            format!("nothing heard from the device for {} ms", UNRESPONSIVE_AFTER.as_millis())
+        } else if let Some(unknown) = unknown {
+            unknown
+        } else {
             return self.cause.take().is_some();
-        } else if self.cause.is_none() {
-            let cause = format!("nothing heard from the device for {} ms", UNRESPONSIVE_AFTER.as_millis());
+        };
+        if self.cause.is_none() {
             tracing::warn!(gripper = %self.gripper, cause, "device unresponsive");
             self.cause = Some(cause);
         }

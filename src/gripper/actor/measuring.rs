@@ -3,20 +3,23 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use jiff::Timestamp;
+
 use super::super::Now;
 use super::super::curve::{Contact, MotionCurve, TAIL};
-use super::super::model::{CommandId, CommandReport, GripRecord, Motion, Outcome, PartId};
-use super::super::observed::Observed;
+use super::super::model::{CommandId, CommandReport, GripRecord, Motion, Outcome, PartId, Values};
 use super::super::recorder::Record;
 use super::recording::Recording;
 
 /// A motion being measured.
 #[derive(Debug)]
-pub(super) struct Measured {
+pub(super) struct MeasuredMotion {
     id: CommandId,
     part_id: Option<PartId>,
     serial_number: Option<u32>,
     curve: MotionCurve,
+    /// Time at which the frame of the first sample arrived.
+    measured_at: Option<Timestamp>,
     /// Contact as judged at the end of a grip with a part.
     contact: Option<Contact>,
     /// End time of the curve, and the ended command.
@@ -31,14 +34,17 @@ impl Recording {
             _ => None,
         };
         let curve = MotionCurve::default();
-        self.measured = Some(Measured { id, part_id, serial_number, curve, contact: None, ended: None });
+        self.measured =
+            Some(MeasuredMotion { id, part_id, serial_number, curve, measured_at: None, contact: None, ended: None });
     }
 
     /// Takes a sample, if all values are known.
-    pub(super) fn measure(&mut self, now: Now, observed: &Observed) {
-        if let (Some(measured), Some(width), Some(speed), Some(force)) =
-            (&mut self.measured, observed.width_mm, observed.speed_mm_s, observed.force_n)
+    pub(super) fn measure(&mut self, now: Now, values: &Values) {
+        let Some(measured) = &mut self.measured else { return };
+        if let (Some(width), Some(speed), Some(force)) =
+            (values.width_mm(now.instant), values.speed_mm_s(now.instant), values.force_n(now.instant))
         {
+            measured.measured_at = measured.measured_at.or_else(|| values.measured_at(now.instant));
             measured.curve.take(now.instant, width, speed, force);
         }
     }
@@ -79,7 +85,9 @@ impl Recording {
     /// Records the curve so far.
     pub(super) fn finish_measuring(&mut self) {
         let Some(measured) = self.measured.take() else { return };
-        let Measured { part_id, serial_number, curve, contact, ended: Some((_, command)), .. } = measured else {
+        let MeasuredMotion { part_id, serial_number, curve, measured_at, contact, ended: Some((_, command)), .. } =
+            measured
+        else {
             return;
         };
         let contact = contact.or_else(|| curve.contact()).filter(|_| command.kind.is_grip());
@@ -105,6 +113,7 @@ impl Recording {
             travel_mm,
             contact_width_mm: contact.map(|contact| contact.width_mm),
             time_to_contact_ms: contact.map(|contact| contact.after_ms),
+            measured_at,
             samples: curve.len(),
             curve,
         };

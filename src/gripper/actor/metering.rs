@@ -1,6 +1,6 @@
 //! Metering of a gripper: sessions of its link, commands and FAST STOPs.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use prometheus::IntCounter;
 
@@ -36,11 +36,13 @@ impl Metering {
         self.is_new_link = true;
     }
 
-    /// Adds the session's counts since the last call. Has to be called before a session ends.
-    pub(super) fn session(&mut self, session: Option<&mut Session>) {
-        let Some(session) = session else { return };
+    /// Adds the session's counts since the last call. Has to be called before a session ends. Returns the round trip of
+    /// a Loop, if an echo has arrived.
+    pub(super) fn session(&mut self, session: Option<&mut Session>) -> Option<Duration> {
+        let session = session?;
         let metrics = &self.metrics;
-        if let Some(round_trip) = session.take_round_trip() {
+        let loop_round_trip = session.take_loop_round_trip();
+        for round_trip in loop_round_trip.into_iter().chain(session.take_round_trip()) {
             metrics.round_trip.observe(round_trip.as_secs_f64());
         }
         let (sent, received) = (session.counters(), session.decoder_counters());
@@ -64,6 +66,7 @@ impl Metering {
             count(&metrics.resynchronisations, received.resynchronisations, self.received.resynchronisations);
         }
         (self.sent, self.received) = (sent, received);
+        loop_round_trip
     }
 
     /// Counts a reconnection after the setup of a new link.

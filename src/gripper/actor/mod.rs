@@ -21,6 +21,7 @@
 
 mod admission;
 mod answers;
+mod arrived;
 mod connection;
 mod drain;
 mod events;
@@ -30,8 +31,10 @@ mod lease;
 mod link;
 mod measuring;
 mod metering;
+mod missing;
 mod motion;
 mod overdrive;
+mod pacing;
 mod persistence;
 mod publish;
 mod reads;
@@ -44,6 +47,7 @@ mod settings;
 mod streaming;
 mod tag;
 mod timers;
+mod unconfirmed;
 mod wire_log;
 
 use std::sync::Arc;
@@ -70,6 +74,7 @@ use drain::Drain;
 pub use link::Close;
 use link::DeviceLink;
 use metering::Metering;
+use pacing::Pacing;
 use publish::Publication;
 use reads::Reads;
 use recording::Recording;
@@ -77,6 +82,7 @@ use running::MotionState;
 use scripts::Scripts;
 use settings::Settings;
 use streaming::Streaming;
+use unconfirmed::Unconfirmed;
 
 /// Time limit for the device's reply, after which a Loop checks whether the reply was lost.
 const REPLY_WITHIN: Duration = Duration::from_secs(1);
@@ -125,6 +131,8 @@ pub struct Actor {
     metering: Metering,
     streaming: Streaming,
     scripts: Scripts,
+    pacing: Pacing,
+    unconfirmed: Unconfirmed,
     publication: Publication,
     answers: Answers,
     /// A new configuration that waits for the end of the link.
@@ -165,6 +173,8 @@ impl Actor {
             metering: Metering::new(config.metrics.clone()),
             streaming: Streaming::default(),
             scripts: Scripts::default(),
+            pacing: Pacing::default(),
+            unconfirmed: Unconfirmed::default(),
             publication,
             answers: Answers::default(),
             pending: None,
@@ -297,12 +307,14 @@ impl Actor {
         self.take_events(now);
         self.run_due_timers(now);
         self.take_events(now);
-        self.metering.session(self.link.session.as_mut());
+        if let Some(round_trip) = self.metering.session(self.link.session.as_mut()) {
+            self.took_round_trip(now, round_trip);
+        }
         self.publish(now);
         self.recording.persist_changes(&self.latch, &self.lease, self.observed.part.grip, &self.commands.last);
         self.commands.notify();
         self.send_acknowledge_results(now);
-        self.settings.overdrive.answer(self.observed.flags);
+        self.settings.overdrive.answer(self.observed.values.flags(now.instant));
         self.answers.send();
     }
 }

@@ -1,8 +1,11 @@
 //! Submitting, stopping and ending the command that moves the fingers.
 
+use std::time::Instant;
+
 use tokio::sync::oneshot;
 
 use super::super::Now;
+use super::super::automatic_updates;
 use super::super::error::{Conflict, DeviceRefusal, Failure, MotionError, Rejection};
 use super::super::model::{AcceptedWidths, Client, CommandId, CommandReport, Kind, Motion, Outcome};
 use super::super::observed::HeldPart;
@@ -10,7 +13,7 @@ use super::link::{NotSubmitted, OwnStop, Purpose};
 use super::running::{Running, Settling, Stage, outcome_of, result_within};
 use super::{Actor, REPLY_WITHIN};
 use crate::wsg::session::End;
-use crate::wsg::{Command, Data, Force, Reply, Status, SystemState};
+use crate::wsg::{Command, Data, Force, GripperState, Reply, Status, SystemState, Width};
 
 impl Actor {
     /// Starts the waiting motion after its pause.
@@ -60,7 +63,11 @@ impl Actor {
     pub(super) fn force_ended(&mut self, now: Now, id: CommandId, force: Force, end: End) {
         self.reads.forget();
         let success = matches!(end, End::Reply(Reply::Success(_)));
-        let client = self.commands.client(id).filter(|_| success);
+        let client = self.commands.client(id);
+        if let Some(client) = &client {
+            self.note_unanswered(now, &Command::SetForceLimit(force), client, &end);
+        }
+        let client = client.filter(|_| success);
         if self.motion.id() == Some(id) {
             if success && self.link.is_up() {
                 self.start_motion(now, id);
@@ -116,9 +123,48 @@ impl Actor {
                 (Outcome::Unknown, None)
             }
         };
+        let was_accepted = running.accepted;
         running.stage = Stage::Settling(Settling { outcome, status, since: now.instant });
+        self.request_values(now);
         if outcome == Outcome::Unknown {
             self.motion.lose_sight(now.instant, self.settings.stroke_mm());
+            self.stop_behind(now, id, was_accepted);
+        }
+    }
+
+    /// Sends a Stop behind a motion whose result is unknown, so that it cannot move the fingers after its client was told
+    /// so. An accepted motion has reached the device, and is over if the fingers are known to stand still.
+    fn stop_behind(&mut self, now: Now, id: CommandId, was_accepted: bool) {
+        let stands_still = self.observed.values.has(SystemState::MOVING, now.instant) == Some(false);
+        if was_accepted && stands_still {
+            return;
+        }
+        self.link.send_stop(now, OwnStop::new(Some(id)));
+        if !was_accepted {
+            self.motion.may_begin_late(now.instant);
+        }
+        if let Some(running) = self.motion.get_mut(id) {
+            running.is_stopped_behind = true;
+        }
+    }
+
+    /// Requests the values of a device that does not send them by itself, so that a motion's result has newer ones.
+    fn request_values(&mut self, now: Now) {
+        if self.observed.flows() {
+            return;
+        }
+        for command in automatic_updates::switch_on_all(self.update_rules(), self.link.properties.bytes_per_second) {
+            self.observed.requested(now.instant, command.id());
+            // Without a reply, the result has no value.
+            let _ = self.link.submit(now, command, Purpose::Upkeep);
+        }
+    }
+
+    /// Sends a Stop behind a script's request that was written and not answered.
+    pub(super) fn stop_script(&mut self, now: Now, command: &Command, end: &End) {
+        let is_unknown = matches!(end, End::Unanswered { written: true, stopped: false, .. });
+        if is_unknown && self.is_script(command) {
+            self.link.send_stop(now, OwnStop::new(None));
         }
     }
 
@@ -133,21 +179,35 @@ impl Actor {
         if !unwritten && self.motion.is_under_way() && self.motion.is_sent() {
             self.motion.lose_sight(now.instant, self.settings.stroke_mm());
         }
+        let newer_than = self.motion.waited_since(now.instant, &self.observed);
         let Some(mut running) = self.motion.finish(now.instant, self.settings.stroke_mm()) else { return };
         let (outcome, status) = match running.stage {
             Stage::Settling(Settling { outcome, status, .. }) => (outcome, status),
             // The motion may have happened.
             Stage::Sent(_) if !unwritten => {
                 running.unknown_because = Some(self.link.failure());
+                if !running.accepted {
+                    // An accepted motion cannot act later: it acts now, and its holder has said what a loss means.
+                    running.is_stopped_behind = true;
+                    self.link.owed_stop.get_or_insert_with(|| OwnStop::new(Some(running.id)));
+                }
                 (Outcome::Unknown, None)
             }
             _ => return self.reject(now, running.id, self.link.failure().into()),
         };
         let is_held = outcome.holds_part();
         let contact_width_mm = if is_held { self.recording.judge_contact(running.id) } else { None };
-        let outcome = self.judged(outcome, &running.motion, contact_width_mm);
+        let confirmed = self.confirmed_by_state(now, outcome, newer_than);
+        if confirmed == Outcome::Unknown && outcome != confirmed {
+            let state = self.observed.values.state(now.instant).map_or("unknown", GripperState::name);
+            let detail = format!("it reported success, but its gripper state ({state}) does not show a held part");
+            running.unknown_because = Some(Failure::DeviceProtocol { command: "Grip", detail });
+        }
+        let outcome = confirmed;
+        let width_mm = self.width_of_result(now, newer_than);
+        let outcome = Self::judged(outcome, &running.motion, contact_width_mm.or(width_mm));
         let peak_force_n = self.recording.peak_force_n(running.id);
-        self.end(now, running.id, |record| {
+        self.end_measured(now, running.id, newer_than, |record| {
             record.set_outcome(outcome);
             record.contact_width_mm = contact_width_mm;
             record.peak_force_n = peak_force_n;
@@ -159,7 +219,8 @@ impl Actor {
                 }
             }
             if let Some(failure) = running.unknown_because.map(Rejection::from) {
-                record.explain(failure.code(), &failure);
+                let stop = if running.is_stopped_behind { "; the gateway sends a Stop behind it" } else { "" };
+                record.explain(failure.code(), &format!("{failure}{stop}"));
             }
             if matches!(outcome, Outcome::Aborted | Outcome::Unknown) {
                 record.fast_stop_id = running.fast_stop;
@@ -169,11 +230,26 @@ impl Actor {
         });
     }
 
-    /// Judges a grip with a part by its recipe. Without a measured contact, the width at the end counts; without any
-    /// width, the part is not known to be the right one.
-    fn judged(&self, outcome: Outcome, motion: &Motion, contact_width_mm: Option<f32>) -> Outcome {
+    /// Checks the success of a grip against the gripper's state, which reflects the process (`fw4-en 3.2.6`).
+    fn confirmed_by_state(&self, now: Now, outcome: Outcome, newer_than: Option<Instant>) -> Outcome {
+        if outcome != Outcome::PartHeld {
+            return outcome;
+        }
+        let state = &self.observed.values.state;
+        let is_new = newer_than.is_none_or(|then| state.arrived_at() > Some(then));
+        match state.at(now.instant).filter(|_| is_new) {
+            Some(GripperState::Holding) => outcome,
+            // The next motion has ended the wait for a newer state.
+            Some(GripperState::Grasping) if newer_than.is_none() => outcome,
+            Some(GripperState::NoPart | GripperState::PartLost) => Outcome::NoPart,
+            _ => Outcome::Unknown,
+        }
+    }
+
+    /// Judges a grip with a part by its recipe and its width at contact, or at the end. Without any width, the part is
+    /// not known to be the right one.
+    fn judged(outcome: Outcome, motion: &Motion, width_mm: Option<f32>) -> Outcome {
         let Motion::Grip { recipe: Some(recipe), .. } = motion else { return outcome };
-        let width_mm = contact_width_mm.or(self.observed.width_mm);
         let is_right =
             recipe.accepted == AcceptedWidths::default() || width_mm.is_some_and(|mm| recipe.accepted.accept(mm));
         if outcome == Outcome::PartHeld && !is_right { Outcome::WrongPart } else { outcome }
@@ -290,15 +366,37 @@ impl Actor {
         });
     }
 
-    /// Ends a command. No other place does.
+    /// Opening width for the result of a command, if it arrived after this time.
+    fn width_of_result(&self, now: Now, newer_than: Option<Instant>) -> Option<f32> {
+        let width = &self.observed.values.width;
+        width.at(now.instant).map(Width::mm).filter(|_| newer_than.is_none_or(|then| width.arrived_at() > Some(then)))
+    }
+
+    /// Gripping force for the result of a command, if it arrived after this time.
+    fn force_of_result(&self, now: Now, newer_than: Option<Instant>) -> Option<f32> {
+        let force = &self.observed.values.force;
+        force.at(now.instant).map(Force::n).filter(|_| newer_than.is_none_or(|then| force.arrived_at() > Some(then)))
+    }
+
     pub(super) fn end(&mut self, now: Now, id: CommandId, fill_in: impl FnOnce(&mut CommandReport)) {
+        self.end_measured(now, id, None, fill_in);
+    }
+
+    /// Ends a command with the values that arrived after this time. No other place does.
+    fn end_measured(
+        &mut self,
+        now: Now,
+        id: CommandId,
+        newer_than: Option<Instant>,
+        fill_in: impl FnOnce(&mut CommandReport),
+    ) {
         self.reads.forget();
-        let (width_mm, force_n) = (self.observed.width_mm, self.observed.force_n);
-        let referenced = self.observed.has(SystemState::REFERENCED);
+        let width_mm = self.width_of_result(now, newer_than);
+        let force_n = self.force_of_result(now, newer_than);
         let ended = self.commands.end(now.instant, id, |record| {
             fill_in(record);
             let known = !matches!(record.outcome, Some(Outcome::Unknown | Outcome::Refused));
-            record.width_mm = width_mm.filter(|_| known && referenced);
+            record.width_mm = width_mm.filter(|_| known);
             record.force_n = force_n.filter(|_| known);
             if !matches!(record.kind, Kind::Stop | Kind::Custom) && known {
                 record.reached_goal = Some(matches!(record.outcome, Some(Outcome::Success | Outcome::PartHeld)));

@@ -5,11 +5,11 @@ use std::sync::Arc;
 use tokio::sync::watch;
 
 use super::super::Now;
+use super::super::automatic_updates;
 use super::super::info::Info;
 use super::super::model::{Fault, LatchFields, Link, State};
-use super::super::observed;
 use super::{Actor, ActorConfig};
-use crate::wsg::{DeviceTag, GripperState, SystemState, Temperature};
+use crate::wsg::{DeviceTag, SystemState};
 
 /// State and device information for clients to watch.
 #[derive(Debug)]
@@ -65,7 +65,7 @@ fn info_of(config: &ActorConfig) -> Info {
     let (name, url) = (config.name.clone(), config.url.clone());
     Info {
         custom_ids: Arc::new(config.custom_ids.clone()),
-        update_period_ms: observed::period_ms(config.updates, config.properties.bytes_per_second),
+        update_period_ms: automatic_updates::period_ms(config.updates, config.properties.bytes_per_second),
         ..Info::unknown(name, url, config.properties.name, stops_on_gateway_loss)
     }
 }
@@ -74,11 +74,11 @@ impl Actor {
     /// Publishes the state if it has changed. An update with the same values changes only the age, and wakes no
     /// subscriber.
     pub(super) fn publish(&mut self, now: Now) {
-        let state = self.state_now();
+        let state = self.state_now(now);
         let (is_changed, is_newer) = {
             let published = self.publication.state.borrow();
             let is_changed = !published.is_like(&state);
-            (is_changed, is_changed || published.updated_at != state.updated_at)
+            (is_changed, is_changed || published.values != state.values)
         };
         if !is_newer {
             return;
@@ -105,32 +105,21 @@ impl Actor {
         self.publication.state.send_replace(Arc::new(State { seq, update, ..state }));
     }
 
-    fn state_now(&self) -> State {
-        let observed = &self.observed;
-        let flag = |flag| observed.flags.map(|flags| flags.contains(flag));
-        let referenced = flag(SystemState::REFERENCED);
-        let (latch, last) = (self.latch.current(), &self.commands.last);
-        let fault = self.fault();
+    fn state_now(&self, now: Now) -> State {
+        let latch = self.latch.current();
+        let last = &self.commands.last;
+        let fault = self.fault(now);
+        let is_known = latch.is_some() || self.observed.values.flags(now.instant).is_some();
         State {
             gripper: self.config.name.clone(),
             link: self.link.status(),
             link_cause: self.link.cause.clone(),
-            updated_at: observed.updated_at,
+            values: self.observed.values,
             seq: self.publication.sequence,
             update: self.publication.updates,
-            state: observed.gripper_state.map(GripperState::name),
-            state_code: observed.gripper_state.map(GripperState::code),
-            flags: observed.flags.map(|flags| flags.names().collect()).unwrap_or_default(),
-            flags_raw: observed.flags.map(|flags| flags.bits()),
-            referenced,
-            moving: flag(SystemState::MOVING),
-            width_mm: observed.width_mm.filter(|_| referenced == Some(true)),
-            speed_mm_s: observed.speed_mm_s,
-            force_n: observed.force_n,
-            temperature_c: observed.temperature.map(Temperature::celsius),
             fault: fault.is_some(),
             fault_code: fault.map_or(0, Fault::code),
-            fast_stop: (observed.flags.is_some() || latch.is_some()).then_some(latch.is_some()),
+            fast_stop: is_known.then_some(latch.is_some()),
             latch: latch.map(|latch| LatchFields::of(latch, self.latch.epoch())),
             lease_holder: self.lease.holder().map(|holder| holder.name.clone()),
             reserved_for: self.lease.reserved().map(|holder| holder.name.clone()),
@@ -146,7 +135,7 @@ impl Actor {
 
     /// The most important fault. A FAST STOP comes first, because only an acknowledgement ends it; then a lost link,
     /// because it hides the faults of the device.
-    fn fault(&self) -> Option<Fault> {
+    fn fault(&self, now: Now) -> Option<Fault> {
         if let Some(latch) = self.latch.current() {
             return Some(Fault::FastStop(latch.cause));
         }
@@ -161,6 +150,7 @@ impl Actor {
         ];
         let flagged = flags.into_iter().find(|(flag, _)| self.observed.has(*flag)).map(|(_, fault)| fault);
         let others = [
+            (self.observed.values.stale(now.instant).next().is_some(), Fault::ValueUnknown),
             (self.observed.has_error(), Fault::DeviceError),
             (self.settings.check().is_err(), Fault::SettingsLost),
             (self.recording.check().is_err(), Fault::JournalDown),

@@ -84,7 +84,10 @@ impl Actor {
 
     pub(super) fn read_ended(&mut self, now: Now, id: u8, end: End) {
         let result = match end {
-            End::Reply(Reply::Success(data)) => Ok(data),
+            End::Reply(Reply::Success(data)) => {
+                self.observed.take(now.instant, &data);
+                Ok(data)
+            }
             end => Err(self.rejection_of(crate::wsg::id::name(id).unwrap_or("a getter"), end)),
         };
         self.reads.take(now.instant, id, result);

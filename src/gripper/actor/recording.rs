@@ -14,7 +14,7 @@ use super::super::model::{
 };
 use super::super::recorder::{JournalHealth, Record};
 use super::flicker::Flicker;
-use super::measuring::Measured;
+use super::measuring::MeasuredMotion;
 use super::persistence::LastReported;
 use super::repeats::Repeats;
 use crate::wsg::SystemState;
@@ -35,7 +35,7 @@ pub(super) struct Recording {
     unrecorded: VecDeque<(Instant, CommandId)>,
     pub health: JournalHealth,
     /// The motion being measured.
-    pub measured: Option<Measured>,
+    pub measured: Option<MeasuredMotion>,
     /// Link state as last recorded.
     link: Option<(Link, bool)>,
     pub reported: LastReported,

@@ -7,8 +7,8 @@ use super::super::error::{Conflict, Failure};
 use super::super::model::{Client, CommandId, FastStopId, Kind, Motion, Outcome};
 use super::super::observed::Observed;
 use super::RESULT_WITHIN;
-use crate::wsg::Status;
 use crate::wsg::session::Token;
+use crate::wsg::{GripperState, Status};
 
 /// Time limit for homing: the longest stroke at the slowest homing speed.
 const HOMING_WITHIN: Duration = Duration::from_mins(1);
@@ -27,6 +27,9 @@ const SETTLES_WITHIN: Duration = Duration::from_millis(50);
 
 /// Time after a motion's end for which the flags can still show movement.
 const ENDS_WITHIN: Duration = Duration::from_millis(300);
+
+/// Time for which a motion without any reply can begin late on a link that keeps no order.
+const BEGINS_LATE_WITHIN: Duration = Duration::from_secs(10);
 
 /// Upper bound of a travel time, whatever stroke a device reports.
 const MAX_TRAVEL_TIME: Duration = Duration::from_mins(5);
@@ -52,6 +55,8 @@ pub(super) struct Running {
     pub cancelled_by: Option<Arc<str>>,
     /// Reason for an unknown result.
     pub unknown_because: Option<Failure>,
+    /// Whether the gateway sends a Stop behind the motion, because its result is unknown.
+    pub is_stopped_behind: bool,
     /// Reply of a script.
     pub payload: Option<Vec<u8>>,
 }
@@ -89,6 +94,7 @@ impl Running {
             fast_stop: None,
             cancelled_by: None,
             unknown_because: None,
+            is_stopped_behind: false,
             payload: None,
         }
     }
@@ -155,11 +161,14 @@ pub(super) struct MotionState {
     /// The last motion and the same time, if its result is unknown and no flags have shown since that the fingers stand
     /// still.
     unseen: Option<(CommandId, Instant)>,
+    /// Time until which a motion without any reply can begin late, although a Stop was sent behind it: datagrams can
+    /// overtake each other.
+    begins_late_until: Option<Instant>,
 }
 
 impl MotionState {
     pub(super) fn new(pause: Duration) -> Self {
-        Self { pause, running: None, last_end: None, may_move_until: None, unseen: None }
+        Self { pause, running: None, last_end: None, may_move_until: None, unseen: None, begins_late_until: None }
     }
 
     pub(super) fn set_pause(&mut self, pause: Duration) {
@@ -241,9 +250,21 @@ impl MotionState {
         match &self.running {
             Some(Running { stage: Stage::Settling(settling), is_streamed, .. }) => {
                 let is_over = self.settles_at(observed.period).is_some_and(|at| at <= now);
-                *is_streamed || is_over || observed.is_newer_than(settling.since)
+                let is_closing =
+                    settling.outcome == Outcome::PartHeld && observed.last_state() == Some(GripperState::Grasping);
+                *is_streamed || is_over || !is_closing && observed.is_newer_than(settling.since)
             }
             _ => false,
+        }
+    }
+
+    /// End of a settling motion whose wait for newer values was in vain: values from before its end do not belong to its
+    /// result. A device that sends only changes has no newer ones.
+    pub(super) fn waited_since(&self, now: Instant, observed: &Observed) -> Option<Instant> {
+        let is_over = self.settles_at(observed.period).is_some_and(|at| at <= now);
+        match self.running.as_ref()?.stage {
+            Stage::Settling(settling) if is_over && !observed.is_on_change() => Some(settling.since),
+            _ => None,
         }
     }
 
@@ -274,6 +295,16 @@ impl MotionState {
     /// stand still.
     pub(super) fn lose_sight(&mut self, now: Instant, stroke_mm: Option<f32>) {
         self.unseen = self.running.as_ref().map(|running| (running.id, now + running.moves_on_for(stroke_mm)));
+    }
+
+    /// Notes that a motion without any reply can begin late.
+    pub(super) fn may_begin_late(&mut self, now: Instant) {
+        self.begins_late_until = Some(now + BEGINS_LATE_WITHIN);
+    }
+
+    /// Whether the fingers that begin to move do so because of a late motion. It is noticed once.
+    pub(super) fn takes_late_motion(&mut self, now: Instant) -> bool {
+        self.begins_late_until.take().is_some_and(|until| now < until)
     }
 
     /// Notes that the fingers stand still.

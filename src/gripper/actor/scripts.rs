@@ -167,7 +167,7 @@ impl Actor {
 
     /// Whether the gripper has lost a part. The fingers then close further, without a command.
     pub(super) fn is_part_lost(&self) -> bool {
-        self.observed.gripper_state == Some(GripperState::PartLost)
+        self.observed.last_state() == Some(GripperState::PartLost)
     }
 
     /// Withdraws the requests of all scripts that are not written yet, except those of the lease's holder.

@@ -72,7 +72,7 @@ impl Actor {
     /// Whether a stream was active at `at`. It does not count while a part is held, since stopping the fingers could
     /// drop the part.
     pub(super) fn is_streaming(&self, at: Instant) -> bool {
-        let holds = self.observed.gripper_state == Some(GripperState::Holding);
+        let holds = self.observed.last_state() == Some(GripperState::Holding);
         !holds && self.streaming.at.is_some_and(|streamed| at < streamed + LASTS)
     }
 }

@@ -3,14 +3,11 @@
 use std::time::{Duration, Instant};
 
 use super::super::Now;
-use super::super::observed;
+use super::super::{automatic_updates, observed};
 use super::Actor;
 use super::link::Purpose;
 use crate::wsg::Command;
 use crate::wsg::session::Session;
-
-/// Period of reading the temperature, which has no automatic updates (`fw4-en 3.4.7`) and changes slowly.
-const TEMPERATURE_EVERY: Duration = Duration::from_secs(5);
 
 /// Time for clients' requests to pass through their interfaces after a stall of the gateway.
 const FRONTEND_GRACE: Duration = Duration::from_millis(200);
@@ -33,10 +30,14 @@ const fn always(deadline: fn(&Actor) -> Option<Instant>, run: fn(&mut Actor, Now
 }
 
 /// All timers, in the order in which their work is done.
-const TIMERS: [Timer; 15] = [
+const TIMERS: [Timer; 18] = [
+    always(|actor| actor.observed.values.ends_at(), Actor::expire_values),
     always(Actor::silence_at, Actor::supervise),
     always(Actor::fast_stop_at, Actor::send_fast_stop_if_due),
-    due(|actor| actor.latch.clears_at(), |actor, now| actor.latch.handle_timeout(now.instant, actor.observed.flags)),
+    due(
+        |actor| actor.latch.clears_at(),
+        |actor, now| actor.latch.handle_timeout(now.instant, actor.observed.last_flags()),
+    ),
     always(|actor| actor.motion.settles_at(actor.observed.period), Actor::end_settled_motion),
     always(|actor| actor.lease.next_timeout(), Actor::expire_lease),
     due(|actor| Some(actor.recording.oldest_wait()?.0), Actor::give_up_recording),
@@ -49,6 +50,8 @@ const TIMERS: [Timer; 15] = [
     always(|actor| actor.drain.as_ref()?.next_timeout(), Actor::continue_drain),
     due(Actor::updates_missed_at, Actor::renew_updates),
     due(Actor::temperature_due, Actor::ask_temperature),
+    due(Actor::round_trip_due, Actor::measure_round_trip),
+    due(Actor::unconfirmed_due, Actor::read_unconfirmed),
 ];
 
 impl Actor {
@@ -83,16 +86,12 @@ impl Actor {
     }
 
     /// Whether the link is up and no drain is under way.
-    fn is_in_use(&self) -> bool {
+    pub(super) fn is_in_use(&self) -> bool {
         self.link.is_up() && self.drain.is_none()
     }
 
     fn fast_stop_at(&self) -> Option<Instant> {
         self.latch.repeats_at().filter(|_| self.link.session.is_some())
-    }
-
-    fn silence_at(&self) -> Option<Instant> {
-        self.link.silence_at().filter(|_| self.drain.is_none())
     }
 
     fn motion_starts_at(&self) -> Option<Instant> {
@@ -104,14 +103,15 @@ impl Actor {
     }
 
     fn temperature_due(&self) -> Option<Instant> {
-        self.observed.temperature_at.filter(|_| self.settings.has_temperature() && self.is_in_use())
+        self.observed.temperature_at.filter(|_| self.is_in_use())
     }
 
     fn renew_updates(&mut self, now: Now) {
-        let (rules, line) = (self.config.updates, self.link.properties.bytes_per_second);
+        let rules = self.update_rules();
+        let line = self.link.properties.bytes_per_second;
         while let Some(id) = self.observed.silent(now.instant) {
-            self.observed.asked(now.instant, id);
-            if let Some(command) = observed::switch_on(id, rules, line) {
+            self.observed.requested(now.instant, id);
+            if let Some(command) = automatic_updates::switch_on(id, rules, line) {
                 // A full queue counts as no reply: the request is repeated later.
                 let _ = self.link.submit(now, command, Purpose::Upkeep);
             }
@@ -119,7 +119,7 @@ impl Actor {
     }
 
     fn ask_temperature(&mut self, now: Now) {
-        self.observed.temperature_at = Some(now.instant + TEMPERATURE_EVERY);
-        let _ = self.link.submit(now, Command::GetTemperature, Purpose::Upkeep);
+        self.observed.temperature_at = Some(now.instant + observed::TEMPERATURE_EVERY);
+        let _ = self.link.submit(now, Command::GetTemperature, Purpose::Temperature);
     }
 }

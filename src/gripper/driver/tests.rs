@@ -114,7 +114,7 @@ async fn pauses_between_attempts_double_up_to_two_seconds() {
 async fn unread_replies_come_before_a_deadline_eight_times() {
     let (recorder, restored) = (Arc::new(NullRecorder), RestoredState::default());
     let (mut driver, _handle) = Driver::new(config(TCP), Arc::new(Absent::default()), recorder, restored);
-    let pipe = Pipe { reader: Box::new(tokio::io::repeat(0)), writer: Box::new(tokio::io::sink()) };
+    let pipe = Pipe::new(tokio::io::repeat(0), tokio::io::sink());
     let (mut link, passed) = (LinkIo::new(pipe), Some(Now::read().instant));
     for _ in 0..8 {
         assert!(matches!(driver.next_input(Some(&mut link), passed).await, Input::Read(Ok(_))));

@@ -15,6 +15,7 @@ use super::{AlarmId, ClientLabel, FastStopId, Name, PartId};
 /// - `device_error`: the device is in the state ERROR, and nobody has acknowledged a FAST STOP since
 /// - `not_reached`: the device has not been reached since the gateway started
 /// - `link_down`: the link to the device is lost, or the device is silent
+/// - `value_unknown`: the device does not send a value, or sends an error or an impossible number instead
 /// - `link_released`: the link was closed by a `disconnect` request
 /// - `holder_lost`: the lease holder was lost while a part was held or a motion continued, and the gripper is reserved
 ///   for it
@@ -39,6 +40,7 @@ pub enum AlarmKind {
     DeviceError,
     NotReached,
     LinkDown,
+    ValueUnknown,
     LinkReleased,
     HolderLost,
     PartLost,
@@ -64,6 +66,7 @@ impl AlarmKind {
             | Self::DeviceError => AlarmPriority::Critical,
             Self::NotReached
             | Self::LinkDown
+            | Self::ValueUnknown
             | Self::HolderLost
             | Self::PartLost
             | Self::SettingsLost
@@ -91,7 +94,7 @@ pub enum AlarmPriority {
 /// The cause of an alarm.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
 pub struct AlarmCause {
-    /// Cause as text: the cause of a FAST STOP or of a lost link, the name of a lost lease holder, the figures of a drift,
+    /// Cause as text: the cause of a FAST STOP or of a lost link, the unknown values, the name of a lost lease holder, the figures of a drift,
     /// or the use of a finger set. Null if the kind of the alarm says everything.
     #[schema(value_type = Option<String>, required)]
     pub cause: Option<Arc<str>>,

@@ -11,6 +11,8 @@ pub enum Fault {
     JournalDown,
     /// The device lost settings of clients that could not be restored.
     SettingsLost,
+    /// A value of the device is unknown although the device should report it.
+    ValueUnknown,
     /// A FAST STOP is latched.
     FastStop(FastStopCause),
     /// `TEMP_FAULT` without a latched FAST STOP.
@@ -33,6 +35,7 @@ impl Fault {
             Self::LinkDown => 1,
             Self::JournalDown => 2,
             Self::SettingsLost => 3,
+            Self::ValueUnknown => 4,
             Self::FastStop(FastStopCause::Requested) => 10,
             Self::FastStop(FastStopCause::ClientLost) => 11,
             Self::FastStop(FastStopCause::UnannouncedDisconnect) => 12,
@@ -68,6 +71,7 @@ mod tests {
             (Fault::LinkDown, 1),
             (Fault::JournalDown, 2),
             (Fault::SettingsLost, 3),
+            (Fault::ValueUnknown, 4),
             (Fault::Temperature, 20),
             (Fault::Power, 21),
             (Fault::Current, 22),

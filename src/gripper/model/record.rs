@@ -70,6 +70,11 @@ pub struct GripRecord {
     /// Time from the first sample to contact with the part, in ms; only for a grip.
     #[schema(required)]
     pub time_to_contact_ms: Option<u64>,
+    /// Time at which the frame of the first sample arrived, in UTC with microseconds. Absent without samples, and from
+    /// older records.
+    #[serde(skip_serializing_if = "Option::is_none", serialize_with = "super::time::microseconds_or_null")]
+    #[schema(value_type = Option<String>, nullable = false, format = DateTime)]
+    pub measured_at: Option<Timestamp>,
     /// Number of samples in the curve.
     pub samples: usize,
     /// Curve, stored and served separately from the record.

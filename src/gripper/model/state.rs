@@ -1,13 +1,14 @@
 //! The state of a gripper: its link, its FAST STOP and its newest values.
 
 use std::sync::Arc;
-use std::time::Instant;
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize, Serializer};
 use utoipa::ToSchema;
 
+use super::values::{MeasuredFields, Values};
 use super::{CommandId, FastStopId, Fault, Name, Outcome, Reason};
+use crate::gripper::Now;
 
 /// Connection state of the device link.
 ///
@@ -74,10 +75,10 @@ pub struct Latch {
 /// Newest state of a gripper.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 #[schema(as = GripperState, example = json!({
-    "gripper": "left", "link": "connected", "link_cause": null, "age_ms": 4, "seq": 51234, "state": "HOLDING",
-    "state_code": 4, "flags": ["REFERENCED", "TARGET_POS_REACHED"], "flags_raw": 129, "referenced": true,
+    "gripper": "left", "link": "connected", "link_cause": null, "age_ms": 4,
+    "measured_at": "2026-11-29T10:30:00.123456Z", "state": "HOLDING", "state_code": 4, "flags": ["REFERENCED", "TARGET_POS_REACHED"], "flags_raw": 129, "referenced": true,
     "moving": false, "width_mm": 20.0, "speed_mm_s": 0.0, "force_n": 40.0, "temperature_c": 31.5,
-    "fault": false, "fault_code": 0, "fast_stop": false, "lease_holder": null, "reserved_for": null, "lease_epoch": 0, "journal_cause": null,
+    "stale": [], "seq": 51234, "fault": false, "fault_code": 0, "fast_stop": false, "lease_holder": null, "reserved_for": null, "lease_epoch": 0, "journal_cause": null,
     "command_id": null, "command": null, "last_command": 17, "last_outcome_code": 2
 }))]
 pub struct State {
@@ -89,10 +90,10 @@ pub struct State {
     /// Reason that the link is not connected; null while it is.
     #[schema(required)]
     pub link_cause: Option<String>,
-    /// Age of the newest update from the device, in ms; null before the first update.
-    #[serde(rename = "age_ms", serialize_with = "age_ms")]
-    #[schema(value_type = Option<u64>, required, minimum = 0, maximum = 9_007_199_254_740_991_i64)]
-    pub updated_at: Option<Instant>,
+    /// Values of the device, each with its age.
+    #[serde(flatten)]
+    #[schema(value_type = MeasuredFields)]
+    pub values: Values,
     /// Number of changes to this state so far. A newer update with the same values does not count.
     #[schema(minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     pub seq: u64,
@@ -100,45 +101,6 @@ pub struct State {
     #[serde(skip)]
     #[schema(ignore)]
     pub update: u64,
-    /// Name of the gripper state, as in the manual; null before the first update. `state_code` lists all names.
-    #[schema(required)]
-    pub state: Option<&'static str>,
-    /// Number of the gripper state; null before the first update.
-    ///
-    /// - 0 `IDLE`: waiting for a command
-    /// - 1 `GRASPING`: the fingers are closing on a part
-    /// - 2 `NO_PART`: the grip found no part; lasts until the next motion
-    /// - 3 `PART_LOST`: a gripped part was lost; lasts until the next motion
-    /// - 4 `HOLDING`: a part is held with the gripping force
-    /// - 5 `RELEASING`: the fingers are opening to release a part
-    /// - 6 `POSITIONING`: pre-positioning, or homing (firmware 4)
-    /// - 7 `ERROR`: an error or a FAST STOP (firmware 4; reserved in firmware 2)
-    /// - 8 and up `RESERVED`: not defined by the manuals
-    #[schema(required, minimum = 0, maximum = 255)]
-    pub state_code: Option<u8>,
-    /// Names of the system state flags that are set.
-    pub flags: Vec<&'static str>,
-    /// All 32 system state flags as a number; null before the first update.
-    #[schema(required, format = Int64, minimum = 0, maximum = 4_294_967_295_i64)]
-    pub flags_raw: Option<u32>,
-    /// Whether the fingers are referenced; null before the first update.
-    #[schema(required)]
-    pub referenced: Option<bool>,
-    /// Whether the fingers are moving; null before the first update.
-    #[schema(required)]
-    pub moving: Option<bool>,
-    /// Opening width in mm; null until the fingers are referenced.
-    #[schema(required, minimum = -1000, maximum = 1000)]
-    pub width_mm: Option<f32>,
-    /// Speed of the fingers relative to each other, in mm/s.
-    #[schema(required, minimum = -10000, maximum = 10000)]
-    pub speed_mm_s: Option<f32>,
-    /// Gripping force in N, summed over the fingers.
-    #[schema(required, minimum = -10000, maximum = 10000)]
-    pub force_n: Option<f32>,
-    /// Temperature of the device in °C; null if the firmware does not report it (firmware 2).
-    #[schema(required, minimum = -3276.8, maximum = 3276.7)]
-    pub temperature_c: Option<f32>,
     /// Whether a person or a program has to do something before the next motion, such as acknowledging a FAST STOP.
     pub fault: bool,
     /// Number of the fault that matters most; 0 without a fault:
@@ -146,13 +108,14 @@ pub struct State {
     /// - 1: the link is not connected
     /// - 2: the journal is unavailable, and motions are refused
     /// - 3: the device lost settings that could not be restored
+    /// - 4: a value of the device is not known; `stale` names it
     /// - 10 to 18: a FAST STOP is latched; its causes are, in this order, `requested`, `client_lost`,
     ///   `unannounced_disconnect`, `temperature_fault`, `power_fault`, `current_fault`, `finger_fault`, `soft_limit`,
     ///   `unknown`
     /// - 20 to 23: `TEMP_FAULT`, `POWER_FAULT`, `CURR_FAULT` or `FINGER_FAULT` is set
     /// - 30: the device reports an error (`ERROR`) that does not come from an acknowledged FAST STOP
     pub fault_code: u16,
-    /// Whether a FAST STOP is latched; null until the first connection.
+    /// Whether a FAST STOP is latched; null while no FAST STOP is latched and the flags of the device are unknown.
     #[schema(required)]
     pub fast_stop: Option<bool>,
     /// The latched FAST STOP; absent if `fast_stop` is not true.
@@ -200,19 +163,9 @@ impl State {
             gripper,
             link: Link::Connecting,
             link_cause: None,
-            updated_at: None,
+            values: Values::default(),
             seq: 0,
             update: 0,
-            state: None,
-            state_code: None,
-            flags: Vec::new(),
-            flags_raw: None,
-            referenced: None,
-            moving: None,
-            width_mm: None,
-            speed_mm_s: None,
-            force_n: None,
-            temperature_c: None,
             fault: true,
             fault_code: Fault::LinkDown.code(),
             fast_stop: None,
@@ -231,12 +184,12 @@ impl State {
 }
 
 impl State {
-    /// Whether both states have the same values. Their ages can differ.
+    /// Whether both states say the same. The times of their values can differ.
     #[must_use]
     pub fn is_like(&self, other: &Self) -> bool {
-        let Self { updated_at, seq, update, .. } = *other;
+        let Self { values, seq, update, .. } = *other;
         // Copying is cheap: a state has few strings, and they are short.
-        Self { updated_at, seq, update, ..self.clone() } == *other
+        self.values.is_like(&values) && Self { values, seq, update, ..self.clone() } == *other
     }
 }
 
@@ -252,30 +205,38 @@ pub struct Telemetry {
     #[serde(serialize_with = "super::time::milliseconds")]
     #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
-    /// Opening width in mm; null until the fingers are referenced.
+    /// Time at which the newest frame arrived whose value is known, in UTC with microseconds; null while no value is
+    /// known.
+    #[serde(serialize_with = "super::time::microseconds_or_null")]
+    #[schema(value_type = Option<String>, required, format = DateTime)]
+    pub measured_at: Option<Timestamp>,
+    /// Opening width in mm; null while unknown, and until the fingers are referenced.
     pub width_mm: Option<f32>,
-    /// Speed of the fingers relative to each other, in mm/s.
+    /// Speed of the fingers relative to each other, in mm/s; null while unknown.
     pub speed_mm_s: Option<f32>,
-    /// Gripping force in N.
+    /// Gripping force in N; null while unknown.
     pub force_n: Option<f32>,
-    /// Name of the gripper state, as in the manual; `state_code` of the state lists all names.
+    /// Name of the gripper state, as in the manual; null while unknown. `state_code` of the state lists all names.
     pub state: Option<&'static str>,
-    /// All 32 system state flags as a number.
+    /// All 32 system state flags as a number; null while unknown.
     pub flags_raw: Option<u32>,
 }
 
 impl State {
+    /// The values that are known now.
     #[must_use]
-    pub fn telemetry(&self, at: Timestamp) -> Telemetry {
+    pub fn telemetry(&self, now: Now) -> Telemetry {
+        let values = &self.values;
         Telemetry {
             gripper: self.gripper.clone(),
             seq: self.seq,
-            at,
-            width_mm: self.width_mm,
-            speed_mm_s: self.speed_mm_s,
-            force_n: self.force_n,
-            state: self.state,
-            flags_raw: self.flags_raw,
+            at: now.wall,
+            measured_at: values.measured_at(now.instant),
+            width_mm: values.width_mm(now.instant),
+            speed_mm_s: values.speed_mm_s(now.instant),
+            force_n: values.force_n(now.instant),
+            state: values.state_name(now.instant),
+            flags_raw: values.flags(now.instant).map(|flags| flags.bits()),
         }
     }
 }
@@ -323,11 +284,6 @@ impl LatchFields {
     }
 }
 
-#[allow(clippy::ref_option, reason = "serde's signature")]
-fn age_ms<S: Serializer>(updated_at: &Option<Instant>, serializer: S) -> Result<S::Ok, S::Error> {
-    updated_at.map(|at| at.elapsed().as_millis() as u64).serialize(serializer)
-}
-
 #[allow(clippy::ref_option, clippy::trivially_copy_pass_by_ref, reason = "serde's signature")]
 fn outcome_code<S: Serializer>(outcome: &Option<Outcome>, serializer: S) -> Result<S::Ok, S::Error> {
     outcome.map_or(0, Outcome::code).serialize(serializer)
@@ -335,8 +291,11 @@ fn outcome_code<S: Serializer>(outcome: &Option<Outcome>, serializer: S) -> Resu
 
 #[cfg(test)]
 mod tests {
+    use std::time::Duration;
+
+    use super::super::values::LinkClock;
     use super::*;
-    use crate::wsg::SystemState;
+    use crate::wsg::{Force, GripperState, Speed, SystemState, Temperature, Width};
 
     /// Bytes of the largest state, as in the guide, with some room for further fields.
     const LARGEST_BYTES: usize = 1400;
@@ -358,18 +317,8 @@ mod tests {
         };
         State {
             link: Link::Connected,
-            updated_at: Some(Instant::now()),
+            values: longest_values(),
             seq: 9_007_199_254_740_991,
-            state: Some("POSITIONING"),
-            state_code: Some(6),
-            flags: SystemState::from_bits_retain(u32::MAX).names().collect(),
-            flags_raw: Some(u32::MAX),
-            referenced: Some(false),
-            moving: Some(false),
-            width_mm: Some(-109.123_45),
-            speed_mm_s: Some(-419.123_45),
-            force_n: Some(-119.123_45),
-            temperature_c: Some(-10.5),
             fault_code: 18,
             fast_stop: Some(false),
             latch: Some(latch),
@@ -381,6 +330,20 @@ mod tests {
             last_outcome: Some(Outcome::Unknown),
             ..State::unknown(name.parse().unwrap())
         }
+    }
+
+    fn longest_values() -> Values {
+        let now = crate::gripper::clock::instant();
+        let good_for = Duration::from_mins(1);
+        let mut values = Values::default();
+        values.clock = Some(LinkClock { instant: now, wall: Timestamp::UNIX_EPOCH });
+        values.flags.take(now, SystemState::from_bits_retain(u32::MAX), good_for);
+        values.state.take(now, GripperState::Positioning, good_for);
+        values.width.take(now, Width::new(-109.123_45).unwrap(), good_for);
+        values.speed.take(now, Speed::new(-419.123_45).unwrap(), good_for);
+        values.force.take(now, Force::new(-119.123_45).unwrap(), good_for);
+        values.temperature.take(now, Temperature(-105), good_for);
+        values
     }
 
     #[test]

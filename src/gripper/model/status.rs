@@ -1,10 +1,11 @@
 //! The status of a gripper in the fewest bytes, for programs that poll it in each cycle.
 
+use std::time::Instant;
+
 use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::{Outcome, State};
-use crate::wsg::GripperState;
 
 /// Status of a gripper for a cyclic program. The whole response, with its header, is smaller than 256 bytes.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
@@ -22,7 +23,8 @@ pub struct GripperStatus {
     pub ok: bool,
     /// Whether the newest motion ended with another outcome.
     pub nok: bool,
-    /// Whether the device reports a held part (`HOLDING`).
+    /// Whether the device reports a held part (`HOLDING`). False also while the gripper's state is unknown, which
+    /// `fault_code` shows.
     pub holding: bool,
     /// Whether a person or a program has to do something before the next motion.
     pub fault: bool,
@@ -41,7 +43,7 @@ pub struct GripperStatus {
 
 impl GripperStatus {
     #[must_use]
-    pub fn of(state: &State) -> Self {
+    pub fn of(state: &State, now: Instant) -> Self {
         let busy = state.command.is_some();
         let outcome = state.last_outcome.filter(|_| !busy);
         Self {
@@ -49,7 +51,7 @@ impl GripperStatus {
             done: outcome.is_some(),
             ok: outcome.is_some_and(Outcome::is_ok),
             nok: outcome.is_some_and(|outcome| !outcome.is_ok()),
-            holding: state.state_code == Some(GripperState::Holding.code()),
+            holding: state.values.is_holding(now),
             fault: state.fault,
             fault_code: state.fault_code,
             last_command: state.last_command,

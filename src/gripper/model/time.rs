@@ -7,6 +7,15 @@ pub fn milliseconds<S: Serializer>(at: &Timestamp, serializer: S) -> Result<S::O
     serializer.collect_str(&format_args!("{at:.3}"))
 }
 
+/// Times of measurement, with six decimals.
+#[allow(clippy::ref_option, reason = "serde's signature")]
+pub fn microseconds_or_null<S: Serializer>(at: &Option<Timestamp>, serializer: S) -> Result<S::Ok, S::Error> {
+    match at {
+        Some(at) => serializer.collect_str(&format_args!("{at:.6}")),
+        None => serializer.serialize_none(),
+    }
+}
+
 #[allow(clippy::ref_option, reason = "serde's signature")]
 pub fn milliseconds_or_null<S: Serializer>(at: &Option<Timestamp>, serializer: S) -> Result<S::Ok, S::Error> {
     match at {

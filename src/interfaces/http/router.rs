@@ -159,6 +159,7 @@ fn api() -> Routes {
         .routes(routes!(paths::recipes::versions))
         .routes(routes!(recipes::get_csv, recipes::set_csv))
         .routes(routes!(paths::recipes::teach))
+        .routes(routes!(paths::clock::clock))
         .routes(routes!(paths::me::me))
         .routes(routes!(paths::reload::reload))
         .routes(routes!(session::sign_in, session::sign_out))

@@ -148,7 +148,7 @@ impl Stream {
         for state in updates.snapshot() {
             let has = |topic| topics.contains(&topic);
             ready.extend(has(Topic::State).then(|| Notification::new("state", &*state)).flatten());
-            let telemetry = || Notification::new("telemetry", &state.telemetry(Now::read().wall));
+            let telemetry = || Notification::new("telemetry", &state.telemetry(Now::read()));
             ready.extend(has(Topic::Telemetry).then(telemetry).flatten());
         }
         let (metrics, closing) = (context.metrics.clone(), context.closing.clone());

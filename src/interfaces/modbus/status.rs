@@ -1,13 +1,16 @@
 //! The input registers.
 
+use std::time::Instant;
+
 use super::image::{Ended, Image, ImageCommand, number_of};
 use super::registers::{Inputs, scaled};
+use crate::gripper::Now;
 use crate::gripper::model::{Link, State};
 use crate::operations::Code;
-use crate::wsg::Status;
+use crate::wsg::{Status, SystemState};
 
-/// Gripper state in which a part is held.
-const HOLDING: u8 = 4;
+/// First of four registers of the gateway's clock: microseconds since 1970 in UTC, the most significant word first.
+const CLOCK_AT: usize = 16;
 
 /// Registers of the holder's name.
 const NAME_REGISTERS: usize = 16;
@@ -27,6 +30,8 @@ const LEASE_MINE: u16 = 10;
 const LEASE_OTHERS: u16 = 11;
 const CONNECTED: u16 = 12;
 const PREPARED: u16 = 13;
+/// A value that the registers show as 0 or as unknown should be known, and is not.
+const STALE: u16 = 14;
 
 /// Parts of the input registers that depend on the client.
 #[derive(Debug, Clone, Copy)]
@@ -38,26 +43,29 @@ pub(super) struct GripperView<'a> {
     pub is_reserved: bool,
     /// Heartbeat of the gateway.
     pub heartbeat: u16,
+    pub now: Instant,
 }
 
 /// Returns the input registers of a gripper.
 pub(super) fn of_gripper(state: &State, view: GripperView<'_>) -> Inputs {
-    Inputs { fieldbus: fieldbus(state, view.image), gateway: gateway(state, view) }
+    Inputs { fieldbus: fieldbus(state, view), gateway: gateway(state, view) }
 }
 
-fn fieldbus(state: &State, image: &Image) -> [u16; 6] {
-    let [high, low] = words(state.flags_raw.unwrap_or_default());
+fn fieldbus(state: &State, GripperView { image, now, .. }: GripperView<'_>) -> [u16; 6] {
+    let values = &state.values;
+    let [high, low] = words(values.flags(now).unwrap_or_default().bits());
     let status = match image.command() {
         ImageCommand::None => Status::E_SUCCESS.code(),
         ImageCommand::Requested | ImageCommand::Admitted(_) => Status::E_CMD_PENDING.code(),
         ImageCommand::Ended(ended) => ended.status,
     };
-    let gripper_state = u16::from_be_bytes([state.state_code.unwrap_or_default(), 0]);
-    [gripper_state, high, low, scaled(state.width_mm, 100.0), scaled(state.force_n, 100.0), status]
+    let gripper_state = u16::from_be_bytes([values.state_code(now).unwrap_or_default(), 0]);
+    [gripper_state, high, low, scaled(values.width_mm(now), 100.0), scaled(values.force_n(now), 100.0), status]
 }
 
 fn gateway(state: &State, view: GripperView<'_>) -> [u16; 32] {
-    let GripperView { image, heartbeat, .. } = view;
+    let GripperView { image, heartbeat, now, .. } = view;
+    let measured = &state.values;
     let (outcome, problem) = match image.command() {
         ImageCommand::Ended(Ended { outcome, problem, .. }) => (*outcome, *problem),
         _ => (None, None),
@@ -70,17 +78,17 @@ fn gateway(state: &State, view: GripperView<'_>) -> [u16; 32] {
         outcome.map_or(0, |outcome| outcome.code().into()),
         problem.map_or(0, Code::number),
         state.fault_code,
-        state.state_code.unwrap_or_default().into(),
-        scaled(state.width_mm, 100.0),
-        scaled(state.speed_mm_s, 10.0),
-        scaled(state.force_n, 10.0),
+        measured.state_code(now).unwrap_or_default().into(),
+        scaled(measured.width_mm(now), 100.0),
+        scaled(measured.speed_mm_s(now), 10.0),
+        scaled(measured.force_n(now), 10.0),
         scaled(grip.contact_width_mm, 100.0),
         scaled(grip.peak_force_n, 10.0),
         state.latch.as_ref().map_or(0, number_of),
         heartbeat,
         motion_high,
         motion_low,
-        scaled(state.temperature_c, 10.0),
+        scaled(measured.temperature_c(now), 10.0),
     ];
     let holder = name(state.lease_holder.as_deref().unwrap_or_default());
     let mut registers = [0; 32];
@@ -91,7 +99,8 @@ fn gateway(state: &State, view: GripperView<'_>) -> [u16; 32] {
 }
 
 fn status_word(state: &State, view: GripperView<'_>) -> u16 {
-    let GripperView { image, holds_lease, is_reserved, .. } = view;
+    let GripperView { image, holds_lease, is_reserved, now, .. } = view;
+    let values = &state.values;
     let ended = match image.command() {
         ImageCommand::Ended(ended) => Some(ended),
         _ => None,
@@ -105,35 +114,47 @@ fn status_word(state: &State, view: GripperView<'_>) -> u16 {
         (DONE, ended.is_some()),
         (OK, ended.is_some_and(|ended| ended.is_ok)),
         (NOK, ended.is_some_and(|ended| !ended.is_ok)),
-        (IS_HOLDING, state.state_code == Some(HOLDING)),
-        (MOVING, state.moving == Some(true)),
-        (REFERENCED, state.referenced == Some(true)),
+        (IS_HOLDING, values.is_holding(now)),
+        (MOVING, values.has(SystemState::MOVING, now) == Some(true)),
+        (REFERENCED, values.has(SystemState::REFERENCED, now) == Some(true)),
         (FAULT, state.fault),
         (FAST_STOP, state.latch.is_some()),
         (LEASE_MINE, holds_lease),
         (LEASE_OTHERS, is_others),
         (CONNECTED, state.link == Link::Connected),
         (PREPARED, image.is_prepared()),
+        (STALE, is_stale(state, now)),
     ])
 }
 
+/// Whether a value is unknown that the device should report.
+fn is_stale(state: &State, now: Instant) -> bool {
+    let values = &state.values;
+    values.flags(now).is_none() || values.state(now).is_none() || values.stale(now).next().is_some()
+}
+
 /// Returns the input registers of the gateway itself.
-pub(super) fn of_gateway<'a>(states: impl Iterator<Item = &'a State> + Clone, heartbeat: u16) -> Inputs {
-    let any = |is: fn(&State) -> bool| states.clone().any(is);
-    let all = |is: fn(&State) -> bool| states.clone().all(is);
+pub(super) fn of_gateway<'a>(states: impl Iterator<Item = &'a State> + Clone, heartbeat: u16, now: Now) -> Inputs {
+    let at = now.instant;
+    let has = |state: &State, flag| state.values.has(flag, at) == Some(true);
     let bits = word([
-        (IS_HOLDING, any(|state| state.state_code == Some(HOLDING))),
-        (MOVING, any(|state| state.moving == Some(true))),
-        (REFERENCED, all(|state| state.referenced == Some(true))),
-        (FAULT, any(|state| state.fault)),
-        (FAST_STOP, any(|state| state.latch.is_some())),
-        (CONNECTED, all(|state| state.link == Link::Connected)),
+        (IS_HOLDING, states.clone().any(|state| state.values.is_holding(at))),
+        (MOVING, states.clone().any(|state| has(state, SystemState::MOVING))),
+        (REFERENCED, states.clone().all(|state| has(state, SystemState::REFERENCED))),
+        (FAULT, states.clone().any(|state| state.fault)),
+        (FAST_STOP, states.clone().any(|state| state.latch.is_some())),
+        (CONNECTED, states.clone().all(|state| state.link == Link::Connected)),
+        (STALE, states.clone().any(|state| is_stale(state, at))),
     ]);
     let mut inputs = Inputs::ZERO;
     // There are no more grippers than unit identifiers.
     let count = states.count() as u16;
     for (index, value) in [(0, count), (1, bits), (12, heartbeat)] {
         inputs.gateway[index] = value;
+    }
+    let clock = now.exact.as_microsecond().to_be_bytes();
+    for (index, bytes) in clock.chunks_exact(2).enumerate() {
+        inputs.gateway[CLOCK_AT + index] = u16::from_be_bytes([bytes[0], bytes[1]]);
     }
     inputs
 }
@@ -159,13 +180,22 @@ fn name(name: &str) -> [u16; NAME_REGISTERS] {
 
 #[cfg(test)]
 mod tests {
-    use std::time::Instant;
+    use std::time::Duration;
 
     use super::*;
-    use crate::gripper::model::Fault;
+    use crate::gripper::clock;
+    use crate::gripper::model::{Fault, Missing, Values};
+    use crate::wsg::{GripperState, Temperature};
 
     fn inputs(state: &State, image: &Image, holds_lease: bool) -> Inputs {
-        of_gripper(state, GripperView { image, holds_lease, is_reserved: false, heartbeat: 77 })
+        of_gripper(state, GripperView { image, holds_lease, is_reserved: false, heartbeat: 77, now: clock::instant() })
+    }
+
+    fn values() -> Values {
+        let flags = SystemState::from_bits_retain(0x0001_0081);
+        let mut values = Values::fixed(flags, GripperState::Holding, [20.5, 0.0, -40.25]);
+        values.temperature.take(clock::instant(), Temperature(315), Duration::from_hours(1));
+        values
     }
 
     fn ready() -> State {
@@ -173,14 +203,7 @@ mod tests {
             link: Link::Connected,
             fault: false,
             fault_code: 0,
-            state_code: Some(HOLDING),
-            flags_raw: Some(0x0001_0081),
-            referenced: Some(true),
-            moving: Some(false),
-            width_mm: Some(20.5),
-            speed_mm_s: Some(0.0),
-            force_n: Some(-40.25),
-            temperature_c: Some(31.5),
+            values: values(),
             lease_holder: Some("plc-\u{fc}".into()),
             last_command: 0x0002_0003,
             ..State::unknown("left".parse().unwrap())
@@ -223,18 +246,41 @@ mod tests {
         let state = State::unknown("left".parse().unwrap());
         let Inputs { fieldbus, gateway } = inputs(&state, &Image::new(Instant::now()), false);
         assert_eq!(fieldbus, [0, 0, 0, 0x8000, 0x8000, 0]);
-        assert_eq!(gateway[1], 1 << FAULT);
+        assert_eq!(gateway[1], 1 << FAULT | 1 << STALE);
         assert_eq!(gateway[4], Fault::LinkDown.code());
         assert_eq!(gateway[6..11], [0x8000; 5]);
     }
 
     #[test]
+    fn value_that_is_no_longer_known_sets_a_bit() {
+        let mut state = ready();
+        state.values.width.lose(Missing::Silent);
+        let Inputs { fieldbus, gateway } = inputs(&state, &Image::new(Instant::now()), false);
+        assert_eq!((gateway[1] >> STALE & 1, gateway[6], fieldbus[3]), (1, 0x8000, 0x8000));
+        assert_eq!(gateway[8], (-403_i16).cast_unsigned(), "the force is known");
+        state.values.flags.lose(Missing::Silent);
+        let Inputs { fieldbus, gateway } = inputs(&state, &Image::new(Instant::now()), false);
+        assert_eq!(gateway[1] & (1 << REFERENCED | 1 << MOVING), 0);
+        assert_eq!(fieldbus[1..3], [0, 0]);
+    }
+
+    #[test]
+    fn gateway_unit_tells_the_time() {
+        let now = Now::read();
+        let Inputs { gateway, .. } = of_gateway([].into_iter(), 5, now);
+        let words = gateway[CLOCK_AT..CLOCK_AT + 4].iter();
+        let microseconds = words.fold(0, |sum, word| sum << 16 | i64::from(*word));
+        assert_eq!(microseconds, now.exact.as_microsecond());
+    }
+
+    #[test]
     fn gateway_sums_up_its_grippers() {
         let (one, other) = (ready(), State::unknown("right".parse().unwrap()));
-        let both = of_gateway([&one, &other].into_iter(), 5);
-        assert_eq!(both.gateway[..2], [2, 1 << IS_HOLDING | 1 << FAULT]);
+        let now = Now::read();
+        let both = of_gateway([&one, &other].into_iter(), 5, now);
+        assert_eq!(both.gateway[..2], [2, 1 << IS_HOLDING | 1 << FAULT | 1 << STALE]);
         assert_eq!((both.gateway[12], both.fieldbus), (5, [0; 6]));
-        let one = of_gateway([&one].into_iter(), 5);
+        let one = of_gateway([&one].into_iter(), 5, now);
         assert_eq!(one.gateway[1], 1 << IS_HOLDING | 1 << REFERENCED | 1 << CONNECTED);
     }
 

@@ -64,7 +64,7 @@ fn seen_latch_of_the_device_can_be_acknowledged() {
 
         let mut updated = bench();
         updated.send(id::GET_GRIPPER_STATE, &[1, 10, 0]);
-        updated.state.state_code = Some(7);
+        updated.take_state(GripperState::Error);
         updated.pass(Duration::from_millis(10));
         assert_eq!(acknowledges(&mut updated), by_device, "seen as ERROR in an update of 41h: {cause:?}");
 

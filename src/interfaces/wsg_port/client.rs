@@ -190,7 +190,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             self.device.set_holder(holds_lease);
             let watches = holds_lease || self.uses_scripts || self.device.watches();
             let silent_at = self.silence.filter(|_| !self.is_lost).map(|silence| self.heard + silence);
-            let deadline = self.device.poll_timeout(&state).into_iter().chain(silent_at).min();
+            let deadline = self.device.poll_timeout(clock::instant(), &state).into_iter().chain(silent_at).min();
             tokio::select! {
                 biased;
                 () = closing.cancelled() => return ClientEnd::Closing,

@@ -174,16 +174,16 @@ impl VirtualDevice {
         self.input.handle_timeout(now);
         self.take_requests(now, state);
         self.take_up(now, state);
-        let can_report = self.can_report(state);
-        let due = self.subscriptions.take_due(now, can_report, |id| value(id, state));
+        let can_report = self.can_report();
+        let due = self.subscriptions.take_due(now, can_report, |id| value(id, state, now));
         for (id, data) in due.into_iter().filter(|_| can_report) {
             self.report(id, data, state);
         }
     }
 
-    /// Whether updates can be sent. Without a link the values are stale.
-    fn can_report(&self, state: &State) -> bool {
-        state.link == Link::Connected && self.frames.len() < MAX_FRAMES_BEFORE_UPDATES
+    /// Whether the client reads fast enough for updates.
+    fn can_report(&self) -> bool {
+        self.frames.len() < MAX_FRAMES_BEFORE_UPDATES
     }
 
     /// Handles the gripper's reply to an order.
@@ -241,8 +241,8 @@ impl VirtualDevice {
         self.frames.pop_front()
     }
 
-    pub(super) fn poll_timeout(&self, state: &State) -> Option<Instant> {
-        let update = self.subscriptions.due(self.can_report(state), |id| value(id, state));
+    pub(super) fn poll_timeout(&self, now: Instant, state: &State) -> Option<Instant> {
+        let update = self.subscriptions.due(self.can_report(), |id| value(id, state, now));
         self.input.deadline().into_iter().chain(update).min()
     }
 
@@ -424,12 +424,14 @@ impl VirtualDevice {
                 Updates::On { on_change, period_ms: period_ms.max(self.shortest_period_ms) }
             }
         };
-        let data = value(id, state);
+        let data = value(id, state, now);
         self.subscriptions.set(id, updates, data.clone(), now);
-        if state.link == Link::Connected {
-            self.report(id, data, state);
-        } else {
-            self.status(id, Status::E_IO_ERROR);
+        match data {
+            Some(data) => self.report(id, data, state),
+            None if matches!(state.link, Link::Connected | Link::Unresponsive) => {
+                self.status(id, Status::E_NOT_AVAILABLE);
+            }
+            None => self.status(id, Status::E_IO_ERROR),
         }
     }
 

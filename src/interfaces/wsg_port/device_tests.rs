@@ -1,8 +1,8 @@
 use std::time::Duration;
 
 use super::*;
-use crate::gripper::model::{FastStopCause, LatchFields, Motion, Reason};
-use crate::wsg::{Decoded, Decoder, HomingDirection};
+use crate::gripper::model::{FastStopCause, LatchFields, Missing, Motion, Reason, Values};
+use crate::wsg::{Decoded, Decoder, GripperState, HomingDirection, SystemState};
 
 #[path = "acknowledge_tests.rs"]
 mod acknowledging;
@@ -19,11 +19,7 @@ fn custom_ids() -> CustomIds {
 fn state() -> State {
     State {
         link: Link::Connected,
-        flags_raw: Some(1),
-        state_code: Some(4),
-        width_mm: Some(20.0),
-        speed_mm_s: Some(0.0),
-        force_n: Some(40.0),
+        values: Values::fixed(SystemState::REFERENCED, GripperState::Holding, [20.0, 0.0, 40.0]),
         ..State::unknown("g".parse().unwrap())
     }
 }
@@ -49,6 +45,10 @@ struct Bench {
 }
 
 impl Bench {
+    fn take_state(&mut self, state: GripperState) {
+        self.state.values.state.take(self.now, state, Duration::from_hours(1));
+    }
+
     fn new() -> Self {
         Self::with(&rules())
     }
@@ -78,7 +78,7 @@ impl Bench {
     /// Lets time pass and handles timeouts, as the client's I/O would.
     fn pass(&mut self, time: Duration) {
         let until = self.now + time;
-        while let Some(at) = self.device.poll_timeout(&self.state).filter(|at| *at <= until) {
+        while let Some(at) = self.device.poll_timeout(self.now, &self.state).filter(|at| *at <= until) {
             self.now = self.now.max(at);
             self.device.handle_timeout(self.now, &self.state);
         }
@@ -327,16 +327,48 @@ fn updates_on_change_follow_a_change() {
     assert!(bench.device.watches());
     bench.pass(Duration::from_secs(1));
     assert_eq!(bench.sent().len(), 1);
-    bench.state.state_code = Some(0);
+    bench.take_state(GripperState::Idle);
     bench.pass(Duration::from_millis(1));
     assert_eq!(bench.sent(), [(id::GET_GRIPPER_STATE, Status::E_SUCCESS)]);
     // A change without a link is sent once the link is back.
-    (bench.state.link, bench.state.state_code) = (Link::Reconnecting, Some(4));
+    bench.state.link = Link::Reconnecting;
+    bench.state.values.forget();
     bench.pass(Duration::from_secs(1));
     assert_eq!(bench.sent(), []);
     bench.state.link = Link::Connected;
+    bench.take_state(GripperState::Holding);
     bench.pass(Duration::from_millis(1));
     assert_eq!(bench.sent(), [(id::GET_GRIPPER_STATE, Status::E_SUCCESS)]);
+}
+
+#[test]
+fn unknown_values_are_not_available_and_send_no_updates() {
+    let mut bench = Bench::new();
+    bench.send(id::GET_WIDTH, &[1, 10, 0]);
+    bench.send(id::GET_FORCE, &[1, 10, 0]);
+    assert_eq!(bench.sent(), [(id::GET_WIDTH, Status::E_SUCCESS), (id::GET_FORCE, Status::E_SUCCESS)]);
+    bench.state.values.width.lose(Missing::Silent);
+    bench.pass(Duration::from_millis(100));
+    let sent = bench.sent();
+    assert_eq!(sent.len(), 10);
+    assert!(sent.iter().all(|(id, _)| *id == id::GET_FORCE), "{sent:?}");
+    bench.send(id::GET_WIDTH, &[0; 3]);
+    bench.state.values.flags.lose(Missing::Silent);
+    bench.send(id::GET_SYSTEM_STATE, &[0; 3]);
+    let sent = bench.sent();
+    assert_eq!(sent[0], (id::GET_WIDTH, Status::E_NOT_AVAILABLE));
+    assert!(sent.contains(&(id::GET_SYSTEM_STATE, Status::E_NOT_AVAILABLE)));
+    bench.state = State { link: Link::Connected, ..State::unknown("g".parse().unwrap()) };
+    bench.send(id::GET_FORCE, &[0; 3]);
+    assert_eq!(bench.sent().pop(), Some((id::GET_FORCE, Status::E_NOT_AVAILABLE)), "never known");
+}
+
+#[test]
+fn width_is_zero_before_homing() {
+    let mut bench = Bench::new();
+    bench.state.values = Values::fixed(SystemState::empty(), GripperState::Idle, [20.0, 0.0, 0.0]);
+    let value = value(id::GET_WIDTH, &bench.state, bench.now);
+    assert_eq!(value, Some(Data::Width(crate::wsg::Width::ZERO)));
 }
 
 #[test]
@@ -461,14 +493,16 @@ fn latch_is_in_the_flags_even_if_the_device_forgot_it() {
 fn no_stale_values_without_a_link() {
     let mut bench = Bench::new();
     bench.send(id::GET_WIDTH, &[1, 10, 0]);
+    let known = bench.state.values;
     bench.state.link = Link::Reconnecting;
+    bench.state.values.forget();
     bench.sent();
     bench.pass(Duration::from_secs(1));
     bench.send(id::GET_SPEED, &[0; 3]);
     bench.send(id::ACKNOWLEDGE_FAST_STOP, b"ack");
     let io = Status::E_IO_ERROR;
     assert_eq!(bench.sent(), [(id::GET_SPEED, io), (id::ACKNOWLEDGE_FAST_STOP, io)]);
-    bench.state.link = Link::Connected;
+    (bench.state.link, bench.state.values) = (Link::Connected, known);
     bench.pass(Duration::from_millis(100));
     assert!((9..=11).contains(&bench.sent().len()), "missed updates are not sent later");
 }

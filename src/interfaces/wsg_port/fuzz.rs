@@ -8,8 +8,8 @@ use super::device::{MAX_WAITING_FRAMES, PortReply, VirtualDevice};
 use super::port::Rules;
 use super::status::RefusedStatus;
 use crate::gripper::FastStop;
-use crate::gripper::model::{CustomIds, FastStopCause, FastStopId, LatchFields, Link, Name, Reason, State};
-use crate::wsg::{ChecksumEvaluation, Data, Decoded, Decoder, Reply, Status, frame, id};
+use crate::gripper::model::{CustomIds, FastStopCause, FastStopId, LatchFields, Link, Name, Reason, State, Values};
+use crate::wsg::{ChecksumEvaluation, Data, Decoded, Decoder, GripperState, Reply, Status, SystemState, frame, id};
 
 /// Checks a client's session. Each frame for the client is valid, their number is bounded, and a FAST STOP at the end is
 /// obeyed, whatever was sent before. The first byte sets the rules. Each later byte selects a step.
@@ -19,7 +19,8 @@ pub(crate) fn session(data: &[u8]) {
     let rules = Rules { checksum_evaluation: evaluates, acknowledge_any: rules & 2 == 2, allow: Vec::new() };
     let custom_ids = CustomIds { read: [0xB2].into(), stream: [0xB1].into() };
     let mut device = VirtualDevice::new("wsg:10.0.0.1".into(), &rules, Arc::new(custom_ids), 10);
-    let mut state = State { link: Link::Connected, flags_raw: Some(1), width_mm: Some(20.0), ..State::unknown(name) };
+    let values = Values::fixed(SystemState::REFERENCED, GripperState::Idle, [20.0, 0.0, 0.0]);
+    let mut state = State { link: Link::Connected, values, ..State::unknown(name) };
     let (mut now, mut orders) = (Instant::now(), VecDeque::new());
     while let Some((&step, rest)) = steps.split_first() {
         steps = rest;
@@ -33,7 +34,7 @@ pub(crate) fn session(data: &[u8]) {
             // Up to a second passes.
             128..160 => {
                 let until = now + Duration::from_millis(32) * u32::from(step - 128);
-                while let Some(at) = device.poll_timeout(&state).filter(|at| *at <= until) {
+                while let Some(at) = device.poll_timeout(now, &state).filter(|at| *at <= until) {
                     now = now.max(at);
                     device.handle_timeout(now, &state);
                 }
@@ -73,7 +74,7 @@ pub(crate) fn session(data: &[u8]) {
     }
     // Incomplete frames time out. Bytes behind them can subscribe to updates, which would never end.
     device.forget_waiting();
-    while let Some(at) = device.poll_timeout(&state) {
+    while let Some(at) = device.poll_timeout(now, &state) {
         device.handle_timeout(at, &state);
         device.forget_waiting();
         now = at;

@@ -44,7 +44,8 @@ fn status_of(rejection: &Rejection) -> Status {
         },
         Rejection::Device(DeviceRefusal { status, .. }) => *status,
         Rejection::Failure(failure) => match failure {
-            Failure::LinkDown { .. } => Status::E_IO_ERROR,
+            Failure::LinkDown { .. } | Failure::FlagsUnknown { .. } => Status::E_IO_ERROR,
+            Failure::ValueUnknown { .. } => Status::E_NOT_AVAILABLE,
             Failure::Draining => Status::E_ACCESS_DENIED,
             Failure::DeviceTimeout { .. }
             | Failure::NoValueYet { .. }

@@ -1,23 +1,26 @@
-//! Newest values of the getters with automatic updates, as a device would report them.
+//! Values of the getters with automatic updates, as a device would report them.
+
+use std::time::Instant;
 
 use crate::gripper::model::State;
-use crate::wsg::{Data, Force, GripperState, Speed, SystemState, Width, id};
+use crate::wsg::{Data, GripperState, SystemState, Width, id};
 
-/// Returns the newest value of a getter.
-pub(super) fn value(id: u8, state: &State) -> Data {
+/// Returns the value of a getter, unless it is unknown.
+pub(super) fn value(id: u8, state: &State, now: Instant) -> Option<Data> {
+    let values = &state.values;
     match id {
         id::GET_SYSTEM_STATE => {
-            let flags = SystemState::from_bits_retain(state.flags_raw.unwrap_or_default());
             // The latch holds for clients even if the device has forgotten the FAST STOP or has not received it yet.
             let latched = if state.latch.is_some() { SystemState::FAST_STOP } else { SystemState::empty() };
-            Data::SystemState(flags | latched)
+            values.flags(now).map(|flags| Data::SystemState(flags | latched))
         }
-        id::GET_GRIPPER_STATE => Data::GripperState(GripperState::from_code(state.state_code.unwrap_or_default())),
+        id::GET_GRIPPER_STATE => values.state(now).map(Data::GripperState),
         // 0 unless referenced (`fw4-en 3.4.4`).
-        id::GET_WIDTH => Data::Width(finite(state.width_mm, Width::new, Width::ZERO)),
-        id::GET_SPEED => Data::Speed(finite(state.speed_mm_s, Speed::new, Speed::ZERO)),
-        id::GET_FORCE => Data::Force(finite(state.force_n, Force::new, Force::ZERO)),
-        _ => Data::None,
+        id::GET_WIDTH if values.has(SystemState::REFERENCED, now) == Some(false) => Some(Data::Width(Width::ZERO)),
+        id::GET_WIDTH => values.width.at(now).map(Data::Width),
+        id::GET_SPEED => values.speed.at(now).map(Data::Speed),
+        id::GET_FORCE => values.force.at(now).map(Data::Force),
+        _ => None,
     }
 }
 
@@ -28,8 +31,4 @@ pub(super) fn tells_fast_stop(data: &Data) -> bool {
         Data::GripperState(state) => *state == GripperState::Error,
         _ => false,
     }
-}
-
-fn finite<T, E>(value: Option<f32>, new: impl FnOnce(f32) -> Result<T, E>, zero: T) -> T {
-    value.and_then(|value| new(value).ok()).unwrap_or(zero)
 }

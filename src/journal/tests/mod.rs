@@ -144,6 +144,7 @@ pub(crate) fn grip(time: i64, gripper: &str, number: u32, part_id: Option<&str>)
         travel_mm: 7.6,
         contact_width_mm: Some(20.2),
         time_to_contact_ms: Some(300),
+        measured_at: None,
         samples: curve.len(),
         curve,
     }

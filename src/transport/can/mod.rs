@@ -123,18 +123,9 @@ impl CanAddress {
         let reassembler = Reassembler::default();
         let reader = Reader { interface, socket: listening, look, reassembler, bytes: VecDeque::new() };
         let pacer = Pacer::new(self.bytes_per_second());
-        Ok(Pipe {
-            reader: Box::new(reader),
-            writer: Box::new(Writer {
-                socket: sending,
-                id,
-                queue: VecDeque::new(),
-                sent: None,
-                has_begun: false,
-                limit: None,
-                pacer,
-            }),
-        })
+        let writer =
+            Writer { socket: sending, id, queue: VecDeque::new(), sent: None, has_begun: false, limit: None, pacer };
+        Ok(Pipe::new(reader, writer))
     }
 
     /// Command that brings the interface up. Virtual interfaces reject a bit rate.

@@ -3,6 +3,7 @@
 //! The wire has no sequence numbers, so after a timeout the session sends a Loop with a fresh nonce. Replies that
 //! arrive before its echo were sent before it. The same Loop probes a silent device.
 
+use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 /// Initial time limit for an echo before the next Loop is sent. Doubles with each missing echo.
@@ -31,12 +32,24 @@ pub(super) enum Echo {
     NotOurs,
 }
 
+/// Loops without an echo after which a device that has never answered one counts as deaf.
+const DEAF_AFTER: u32 = 3;
+
+/// Newest Loops whose time is kept, to measure a round trip that is longer than the limit for an echo.
+const TIMED_LOOPS: usize = 8;
+
 #[derive(Debug)]
 pub(super) struct Barrier {
     seed: u64,
     sent: LoopGeneration,
     wanted: bool,
-    in_flight: Option<(Instant, Instant)>,
+    /// Time limit for the echo of the newest Loop, while it is awaited.
+    in_flight: Option<Instant>,
+    /// The newest Loops without an echo, each with the time at which it was handed out.
+    sent_at: VecDeque<(LoopGeneration, Instant)>,
+    /// Loops in a row without an echo.
+    unanswered: u32,
+    has_echoed: bool,
     echo_within: Duration,
     round_trip: Option<Duration>,
 }
@@ -44,7 +57,17 @@ pub(super) struct Barrier {
 impl Barrier {
     /// Creates a barrier. `seed` makes its nonces differ from those of earlier sessions on the same line.
     pub(super) fn new(seed: u64) -> Self {
-        Self { seed, sent: 0, wanted: false, in_flight: None, echo_within: ECHO_WITHIN, round_trip: None }
+        Self {
+            seed,
+            sent: 0,
+            wanted: false,
+            in_flight: None,
+            sent_at: VecDeque::new(),
+            unanswered: 0,
+            has_echoed: false,
+            echo_within: ECHO_WITHIN,
+            round_trip: None,
+        }
     }
 
     /// Requests a Loop written after this call. Its generation will exceed the returned one.
@@ -70,7 +93,11 @@ impl Barrier {
     pub(super) fn start(&mut self, now: Instant, line_time: Duration) -> [u8; NONCE_BYTES] {
         self.wanted = false;
         self.sent += 1;
-        self.in_flight = Some((now, now + self.echo_within + line_time));
+        self.in_flight = Some(now + self.echo_within + line_time);
+        if self.sent_at.len() == TIMED_LOOPS {
+            self.sent_at.pop_front();
+        }
+        self.sent_at.push_back((self.sent, now));
         self.nonce()
     }
 
@@ -83,10 +110,15 @@ impl Barrier {
             return Echo::Stale;
         }
         self.echo_within = ECHO_WITHIN;
-        if generation == self.sent
-            && let Some((sent_at, _)) = self.in_flight.take()
-        {
-            self.round_trip = Some(now.saturating_duration_since(sent_at));
+        self.unanswered = 0;
+        self.has_echoed = true;
+        if generation == self.sent {
+            self.in_flight = None;
+        }
+        while let Some((sent, sent_at)) = self.sent_at.pop_front_if(|(sent, _)| *sent <= generation) {
+            if sent == generation {
+                self.round_trip = Some(now.saturating_duration_since(sent_at));
+            }
         }
         Echo::Ours(generation)
     }
@@ -95,12 +127,26 @@ impl Barrier {
         if self.deadline().is_some_and(|deadline| deadline <= now) {
             self.in_flight = None;
             self.wanted = true;
+            self.unanswered = self.unanswered.saturating_add(1);
             self.echo_within = (2 * self.echo_within).min(ECHO_WITHIN_AT_MOST);
         }
     }
 
     pub(super) fn deadline(&self) -> Option<Instant> {
-        self.in_flight.map(|(_, deadline)| deadline)
+        self.in_flight
+    }
+
+    pub(super) fn has_echoed(&self) -> bool {
+        self.has_echoed
+    }
+
+    pub(super) fn unanswered(&self) -> u32 {
+        self.unanswered
+    }
+
+    /// Whether the device has answered none of several Loops.
+    pub(super) fn is_deaf(&self) -> bool {
+        !self.has_echoed && self.unanswered >= DEAF_AFTER
     }
 
     /// Takes the round-trip time of the newest echo; returns each only once.

@@ -16,7 +16,8 @@
 //! - No motion or script is written while an earlier Stop waits to be written, because the Stop would stop it. For the
 //!   same reason, no acknowledgement is written while a FAST STOP waits.
 //! - Every request ends exactly once, with a reply or at its deadline, unless it is withdrawn before it was written.
-//! - After a timeout, an id stays closed until the echo of a later Loop (see `barrier`). A two-step id stays closed
+//! - After a timeout, an id stays closed until the echo of a later Loop (see `barrier`), or for
+//!   [`LATE_REPLIES_WITHIN`] on a device that answers no Loop. A two-step id stays closed
 //!   until its late result arrives, or the device reports not MOVING after that echo. A script's id stays closed until
 //!   its late reply arrives, or for [`SCRIPT_REPLIES_WITHIN`]. FAST STOP and Stop never wait for this.
 //! - On a link that can duplicate frames, an answered id also stays closed until the echo of a later Loop, and for at
@@ -36,7 +37,7 @@ use std::time::{Duration, Instant};
 
 use super::frame::{self, ChecksumEvaluation, Decoder, DecoderCounters};
 use super::reply::{Data, InvalidReply, Reply};
-use super::{Command, id};
+use super::{Command, Status, id};
 use barrier::Barrier;
 pub use config::{MAX_LINE_TIME_WHILE_MOVING, SessionConfig};
 use lanes::{Lanes, Waiting};
@@ -56,6 +57,10 @@ pub const SCRIPT_REPLIES_WITHIN: Duration = Duration::from_secs(10);
 /// Shortest time for which an id stays closed after its reply on a link that can duplicate frames, because a late or
 /// duplicate reply can arrive after the echo of a later Loop.
 pub const DUPLICATE_WITHIN: Duration = Duration::from_millis(5);
+
+/// Time for which late replies are awaited from a device that has never answered Loop, and so cannot separate them from
+/// new ones: longer than the wait for a reply.
+pub const LATE_REPLIES_WITHIN: Duration = Duration::from_secs(3);
 
 /// Silence after which a Loop probes whether the device is still there.
 pub const PROBE_AFTER: Duration = Duration::from_millis(500);
@@ -110,6 +115,19 @@ pub enum SessionEvent {
     Ended(Token, End),
     /// A value of 40h, 41h, 43h, 44h or 45h, from an automatic update or a reply.
     Update(Data),
+    /// A frame of one of these ids without its value.
+    NoValue(u8, NoValue),
+    /// The first reply of an id that is longer than the manuals say, with its size in bytes. Its known fields are used.
+    LongReply(u8, usize),
+}
+
+/// Content of an update or a reply that has no value.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum NoValue {
+    /// An error status.
+    Refused(Status),
+    /// Bytes that no device could send.
+    Invalid(InvalidReply),
 }
 
 /// End of a request.
@@ -150,6 +168,8 @@ pub struct Counters {
     pub invalid_replies: u64,
     /// Requests that ended at a deadline.
     pub time_outs: u64,
+    /// Frames of the gateway's own that came back.
+    pub echoes: u64,
 }
 
 /// Protocol state of one link.
@@ -163,6 +183,10 @@ pub struct Session {
     events: VecDeque<SessionEvent>,
     counters: Counters,
     round_trip: Option<Duration>,
+    /// The newest frame handed out, to recognise a line that returns it.
+    last_written: Vec<u8>,
+    /// Ids with replies longer than the manuals say.
+    long_replies: BTreeSet<u8>,
     /// Ids that have received a reply without a request, so that others can follow.
     repeated: BTreeSet<u8>,
     /// Order of the newest motion, script or acknowledgement written. An earlier stop does not stop what it begins.
@@ -188,6 +212,8 @@ impl Session {
             events: VecDeque::new(),
             counters: Counters::default(),
             round_trip: None,
+            last_written: Vec::new(),
+            long_replies: BTreeSet::new(),
             repeated: BTreeSet::new(),
             newest_start: None,
             next_token: 0,
@@ -259,6 +285,9 @@ impl Session {
         self.expire_in_flight(now);
         self.expire_scripts(now);
         self.slots.expire_duplicates(now);
+        if self.barrier.is_deaf() {
+            self.slots.stop_waiting_for_echoes(now);
+        }
         if self.probes_at() <= now {
             self.barrier.probe();
         }
@@ -304,6 +333,8 @@ impl Session {
         }
         self.counters.frames_sent += 1;
         self.counters.bytes_sent += (out.len() - before) as u64;
+        self.last_written.clear();
+        self.last_written.extend_from_slice(&out[before..]);
         true
     }
 
@@ -314,7 +345,8 @@ impl Session {
         let probe = (!self.barrier.is_in_flight() && !self.barrier.is_wanted()).then(|| self.probes_at());
         let (waiting, script) = (self.lanes.next_deadline(), self.slots.script_deadline());
         let (barrier, duplicate) = (self.barrier.deadline(), self.slots.duplicate_deadline());
-        let deadlines = [in_flight, waiting, script, duplicate, barrier, self.partial_deadline(), probe];
+        let echo = if self.barrier.is_deaf() { self.slots.echo_deadline() } else { None };
+        let deadlines = [in_flight, waiting, script, duplicate, barrier, self.partial_deadline(), probe, echo];
         deadlines.into_iter().flatten().min()
     }
 
@@ -324,15 +356,46 @@ impl Session {
         self.last_heard
     }
 
+    /// Whether a request that acts on the gripper was written, and nothing shows that the device has received it. It may
+    /// still wait in a buffer on the way.
+    #[must_use]
+    pub fn may_act_late(&self) -> bool {
+        self.slots.may_act_late()
+    }
+
+    /// Requests a Loop, to measure the round trip.
+    pub fn probe(&mut self) {
+        self.barrier.probe();
+    }
+
+    /// Number of Loops in a row without an echo; 0 if the device has never echoed one.
+    #[must_use]
+    pub fn unanswered_loops(&self) -> u32 {
+        if self.barrier.has_echoed() { self.barrier.unanswered() } else { 0 }
+    }
+
+    /// Whether the device has answered none of several Loops in this session. Late replies are then told from new ones
+    /// by time alone.
+    #[must_use]
+    pub fn is_deaf(&self) -> bool {
+        self.barrier.is_deaf()
+    }
+
+    /// Takes the newest round-trip time of a Loop; returns each only once.
+    pub fn take_loop_round_trip(&mut self) -> Option<Duration> {
+        self.barrier.take_round_trip()
+    }
+
     /// Whether no request is waiting or in flight.
     #[must_use]
     pub fn is_idle(&self) -> bool {
         self.lanes.is_empty() && self.slots.in_flight().next().is_none()
     }
 
-    /// Takes the newest round-trip time: from handing out a request to its first reply. Returns each only once.
+    /// Takes the newest round-trip time of a request other than Loop: from handing it out to its first reply. Returns
+    /// each only once.
     pub fn take_round_trip(&mut self) -> Option<Duration> {
-        self.barrier.take_round_trip().or(self.round_trip.take())
+        self.round_trip.take()
     }
 
     /// Current counter values of the session.
@@ -437,7 +500,7 @@ impl Session {
             let since = if in_flight.accepted { now } else { in_flight.sent_at };
             let script_until = id::is_custom(slot.id).then(|| since + SCRIPT_REPLIES_WITHIN);
             let two_step = in_flight.two_step;
-            let closed = Closed { two_step, script_until, ..Closed::until_echo(barrier.want()) };
+            let closed = Closed { two_step, script_until, ..Closed::until_echo(now, barrier.want()) };
             slot.state = SlotState::Closed(closed);
             true
         });
@@ -447,7 +510,7 @@ impl Session {
     fn expire_scripts(&mut self, now: Instant) {
         for closed in self.slots.closed_mut() {
             if closed.script_until.is_some_and(|until| until <= now) {
-                *closed = Closed::until_echo(self.barrier.want());
+                *closed = Closed::until_echo(now, self.barrier.want());
             }
         }
     }

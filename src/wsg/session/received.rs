@@ -4,17 +4,35 @@ use std::time::Instant;
 
 use super::barrier::Echo;
 use super::slots::{Closed, SlotState, Verdict};
-use super::{DUPLICATE_WITHIN, End, Session, SessionEvent};
-use crate::wsg::frame::Decoded;
+use super::{DUPLICATE_WITHIN, End, NoValue, Session, SessionEvent};
+use crate::wsg::frame::{Decoded, Frame, HEADER_BYTES, OVERHEAD_BYTES};
 use crate::wsg::reply::{Data, InvalidReply, Reply};
 use crate::wsg::{Status, SystemState, id};
+
+const CHECKSUM_BYTES: usize = OVERHEAD_BYTES - HEADER_BYTES;
+
+/// Whether a frame is the newest one written, sent back by the line. Only a frame that is no reply can be one: a reply
+/// can happen to equal its request.
+fn is_echo(written: &[u8], frame: Frame<'_>) -> bool {
+    written.split_at_checked(HEADER_BYTES).is_some_and(|(header, rest)| {
+        header[3] == frame.id && rest.len() == frame.payload.len() + CHECKSUM_BYTES && rest.starts_with(frame.payload)
+    })
+}
 
 impl Session {
     pub(super) fn decode(&mut self, now: Instant) {
         while let Some(decoded) = self.decoder.next() {
             let Decoded::Frame(frame) = decoded else { continue };
+            let id = frame.id;
+            let reply = Reply::parse(id, frame.payload);
+            if reply.is_err() && is_echo(&self.last_written, frame) {
+                self.counters.echoes += 1;
+                continue;
+            }
             self.last_heard = now;
-            let (id, reply) = (frame.id, Reply::parse(frame.id, frame.payload));
+            if id::is_longer_than_its_manual(id, frame.payload.len()) && self.long_replies.insert(id) {
+                self.events.push_back(SessionEvent::LongReply(id, frame.payload.len()));
+            }
             match reply {
                 Ok(reply) => self.take_reply(now, id, reply),
                 Err(invalid) => self.take_invalid(now, id, invalid),
@@ -30,10 +48,13 @@ impl Session {
         if id == id::LOOP && self.take_echo(now, &reply) {
             return;
         }
-        if id::has_updates(id)
-            && let Reply::Success(data) = &reply
-        {
-            self.take_update(data.clone());
+        if id::has_updates(id) {
+            match &reply {
+                Reply::Success(data) => self.take_update(data.clone()),
+                // These say nothing about the value.
+                Reply::Status(Status::E_CMD_PENDING | Status::E_CHECKSUM_ERROR) => {}
+                Reply::Status(status) => self.events.push_back(SessionEvent::NoValue(id, NoValue::Refused(*status))),
+            }
         }
         let Some(slot) = self.slots.get_mut(id) else {
             // Automatic updates are not stray replies.
@@ -80,11 +101,17 @@ impl Session {
 
     /// Ends the wait of an id whose request got its last reply.
     fn open_or_await_duplicates(&mut self, now: Instant, id: u8) {
-        let may_be_repeated = self.config.may_duplicate || self.repeated.contains(&id);
+        let is_deaf = self.barrier.is_deaf();
+        // A device without Loop separates nothing: only the time limit for duplicates remains.
+        let may_be_repeated = self.config.may_duplicate || self.repeated.contains(&id) && !is_deaf;
         match self.slots.get_mut(id) {
             Some(slot) if may_be_repeated && !matches!(id, id::STOP | id::FAST_STOP) && !id::has_updates(id) => {
                 let duplicate_until = self.config.may_duplicate.then(|| now + DUPLICATE_WITHIN);
-                slot.state = SlotState::Closed(Closed { duplicate_until, ..Closed::until_echo(self.barrier.want()) });
+                slot.state = SlotState::Closed(Closed {
+                    duplicate_until,
+                    echoed: is_deaf,
+                    ..Closed::until_echo(now, self.barrier.want())
+                });
             }
             _ => self.slots.open(id),
         }
@@ -132,6 +159,9 @@ impl Session {
 
     fn take_invalid(&mut self, now: Instant, id: u8, invalid: InvalidReply) {
         self.counters.invalid_replies += 1;
+        if id::has_updates(id) {
+            self.events.push_back(SessionEvent::NoValue(id, NoValue::Invalid(invalid)));
+        }
         if id::is_motion(id) {
             // The fingers may be moving, so the request stays in flight until its deadline.
             return;

@@ -3,7 +3,7 @@
 
 use std::time::Instant;
 
-use super::{Token, barrier::LoopGeneration};
+use super::{LATE_REPLIES_WITHIN, Token, barrier::LoopGeneration};
 use crate::wsg::{Data, Reply, Status, id};
 
 /// Limit of Stops, and of FAST STOPs, in flight. It bounds the memory if the device answers none.
@@ -43,6 +43,8 @@ pub(super) struct InFlight {
 /// An id whose last request can still get a late or duplicate reply.
 #[derive(Debug)]
 pub(super) struct Closed {
+    /// Time at which the id was closed.
+    pub at: Instant,
     /// The id opens after the echo of a Loop newer than this.
     pub since: LoopGeneration,
     pub echoed: bool,
@@ -55,8 +57,8 @@ pub(super) struct Closed {
 
 impl Closed {
     /// Closes an id until the echo of a Loop newer than `since`.
-    pub(super) fn until_echo(since: LoopGeneration) -> Self {
-        Self { since, echoed: false, two_step: false, script_until: None, duplicate_until: None }
+    pub(super) fn until_echo(at: Instant, since: LoopGeneration) -> Self {
+        Self { at, since, echoed: false, two_step: false, script_until: None, duplicate_until: None }
     }
 
     /// Whether the reply to the last request can arrive after the echo.
@@ -94,6 +96,7 @@ impl InFlight {
             (Status::E_CMD_PENDING, false) => Verdict::Accepted,
             (Status::E_CMD_PENDING, true) => Verdict::Late,
             (_, false) if self.two_step && premature => Verdict::Late,
+            (status, true) if status.only_refuses() => Verdict::Late,
             _ => Verdict::Final,
         }
     }
@@ -151,6 +154,33 @@ impl Slots {
             SlotState::Closed(closed) => Some(closed),
             SlotState::InFlight(_) => None,
         })
+    }
+
+    /// Whether a request that acts on the gripper was written, and nothing shows that the device has received it.
+    pub(super) fn may_act_late(&self) -> bool {
+        self.0.iter().any(|slot| match &slot.state {
+            SlotState::InFlight(in_flight) => id::acts(slot.id) && !in_flight.accepted,
+            SlotState::Closed(closed) => id::acts(slot.id) && !closed.echoed,
+        })
+    }
+
+    /// The next time at which a closed id opens without an echo.
+    pub(super) fn echo_deadline(&self) -> Option<Instant> {
+        let waits = |closed: &Closed| !closed.echoed && closed.script_until.is_none();
+        self.closed().filter(|(_, closed)| waits(closed)).map(|(_, closed)| closed.at + LATE_REPLIES_WITHIN).min()
+    }
+
+    /// Lets the ids that have waited for long enough go on as after an echo.
+    pub(super) fn stop_waiting_for_echoes(&mut self, now: Instant) {
+        self.retain(|slot| match &mut slot.state {
+            SlotState::Closed(closed)
+                if !closed.echoed && closed.script_until.is_none() && closed.at + LATE_REPLIES_WITHIN <= now =>
+            {
+                closed.echoed = true;
+                closed.two_step
+            }
+            _ => true,
+        });
     }
 
     /// Whether the script with this id can still reply to an earlier request.

@@ -7,14 +7,14 @@ use std::time::Duration;
 
 use tokio::time::sleep;
 use wsg_gateway::gripper::model::{Action, FastStopId, Link, Motion, Outcome, Reason};
-use wsg_gateway::gripper::{DeviceRefusal, Rejection};
+use wsg_gateway::gripper::{DeviceRefusal, Now, Rejection};
 use wsg_gateway::sim::Change;
 use wsg_gateway::wsg::{
-    Acceleration, Command, CustomCommand, Data, DeviceTag, Finger, Force, LoopData, SoftLimits, Speed, Status, Updates,
-    Width, id,
+    Acceleration, Command, CustomCommand, Data, DeviceTag, Finger, Force, LoopData, SoftLimits, Speed, Status,
+    SystemState, Updates, Width, id,
 };
 
-use rig::{Rig, SOON, client, home, move_to};
+use rig::{Rig, SOON, client, has, home, move_to};
 
 /// Default of `$run` in [`conformance!`].
 pub async fn once<T: Future<Output = ()>>(test: impl Fn() -> T) {
@@ -155,7 +155,7 @@ pub async fn automatic_updates(url: &str) {
             ended = slow.ended() => break ended,
             changed = tokio::time::timeout(SOON, states.changed()) => changed.expect("values arrive").unwrap(),
         }
-        widths.extend(rig.handle.state().width_mm);
+        widths.extend(rig.handle.state().values.width_mm(Now::read().instant));
     };
     assert_eq!(ended.outcome, Some(Outcome::Success));
     widths.dedup();
@@ -173,7 +173,7 @@ pub async fn fast_stop_during_a_motion(url: &str) {
     let mut rounds = 0;
     let (mut running, stopped) = loop {
         let running = rig.start(move_to(10.0, 20.0)).await;
-        rig.until("moving", SOON, |state| state.moving == Some(true)).await;
+        rig.until("moving", SOON, |state| has(state, SystemState::MOVING) == Some(true)).await;
         // Another command still gets an answer.
         rig.exchange(Command::GetAcceleration).await.unwrap();
         let stopped = rig.handle.fast_stop(FastStopId::generate(), client(), Reason::truncated("light curtain")).await;
@@ -200,9 +200,9 @@ pub async fn reboot_during_a_motion(url: &str) {
     let rig = Rig::homed(url).await;
     rig.exchange(Command::SetAcceleration(Acceleration::new(700.0).unwrap())).await.unwrap();
     let mut running = rig.start(move_to(10.0, 10.0)).await;
-    rig.until("moving", SOON, |state| state.moving == Some(true)).await;
+    rig.until("moving", SOON, |state| has(state, SystemState::MOVING) == Some(true)).await;
     rig.apply(Change::Reboot { ready_after_ms: 300, mid_frame: false }).await;
-    rig.until("not referenced", SOON, |state| state.referenced == Some(false)).await;
+    rig.until("not referenced", SOON, |state| has(state, SystemState::REFERENCED) == Some(false)).await;
     rig.until("connected", SOON, |state| state.link == Link::Connected && state.command.is_none()).await;
     assert_eq!(running.wait(SOON).await.outcome, Some(Outcome::Unknown));
     let device = rig.switch.snapshot().await.unwrap();
@@ -263,7 +263,7 @@ pub async fn cut_without_a_connection(url: &str) {
 pub async fn orderly_end(url: &str) {
     let rig = Rig::homed(url).await;
     let mut running = rig.start(move_to(10.0, 5.0)).await;
-    rig.until("moving", SOON, |state| state.moving == Some(true)).await;
+    rig.until("moving", SOON, |state| has(state, SystemState::MOVING) == Some(true)).await;
     let (switch, is_tcp) = (rig.switch.clone(), rig.is_tcp);
     rig.drain().await;
     assert_eq!(running.wait(SOON).await.outcome, Some(Outcome::Aborted));

@@ -6,9 +6,9 @@ use std::time::{Duration, Instant};
 use prometheus::Registry;
 use wsg_gateway::daemon::{ServedDevice, SimulatedDevice, Switch, serve_device};
 use wsg_gateway::gripper::model::{Action, Client, CommandReport, Door, Link, Motion, Outcome, State, Submission};
-use wsg_gateway::gripper::{self, Connector, GripperMetrics, Handle, Rejection, Ticket};
+use wsg_gateway::gripper::{self, Connector, GripperMetrics, Handle, Now, Rejection, Ticket};
 use wsg_gateway::sim::{Change, DeviceConfig, FingerConfig, Part, Script, ScriptAnswer};
-use wsg_gateway::wsg::{self, Data, HomingDirection, MoveFlags, Speed, Width};
+use wsg_gateway::wsg::{self, Data, HomingDirection, MoveFlags, Speed, SystemState, Width};
 
 /// Generous deadline for everything except motions.
 pub const SOON: Duration = Duration::from_secs(5);
@@ -60,6 +60,11 @@ pub fn spawn(connector: impl Connector) -> Handle {
         Arc::new(gripper::NullRecorder),
         gripper::recorder::RestoredState::default(),
     )
+}
+
+/// Whether a flag is set; `None` if unknown.
+pub fn has(state: &State, flag: SystemState) -> Option<bool> {
+    state.values.has(flag, Now::read().instant)
 }
 
 pub fn home() -> Motion {

@@ -191,10 +191,10 @@ fn script_is_not_sent_while_its_late_reply_is_awaited() {
         unsent.to_string(),
         "the custom command was not sent, because an earlier request still had no reply: try again later"
     );
-    assert_eq!(received(&world, from), [SCRIPT_ID]);
+    assert_eq!(received(&world, from), [SCRIPT_ID, id::STOP], "the Stop follows the unanswered script");
     world.advance(Duration::from_millis(1900));
     assert!(script(&mut world, &one).is_ok());
-    assert_eq!(received(&world, from), [SCRIPT_ID; 2]);
+    assert_eq!(received(&world, from), [SCRIPT_ID, id::STOP, SCRIPT_ID]);
 }
 
 #[test]

@@ -23,7 +23,7 @@ fn fault_ends_with_the_acknowledge() {
     assert_eq!(fault(&world), (true, Fault::FastStop(FastStopCause::Requested).code()));
     acknowledge(&mut world, id);
     world.advance(Duration::from_millis(200));
-    assert_eq!((state(&world).state, fault(&world)), (Some("ERROR"), (false, 0)));
+    assert_eq!((values(&world).state, fault(&world)), (Some("ERROR"), (false, 0)));
     assert_eq!(run(&mut world, move_to(50.0, 100.0)).outcome, Some(Outcome::Success));
     assert_eq!(fault(&world), (false, 0));
 }
@@ -57,7 +57,7 @@ fn error_without_a_fast_stop_is_a_fault_until_the_next_motion() {
     world.device.apply(world.now, Change::PlaceObstacle { width_mm: 50.0 });
     assert_eq!(run(&mut world, move_to(20.0, 50.0)).outcome, Some(Outcome::Blocked));
     world.advance(Duration::from_millis(200));
-    assert_eq!((state(&world).state, fault(&world)), (Some("ERROR"), (true, Fault::DeviceError.code())));
+    assert_eq!((values(&world).state, fault(&world)), (Some("ERROR"), (true, Fault::DeviceError.code())));
     run(&mut world, move_to(80.0, 50.0));
     assert_eq!(fault(&world), (false, 0));
 }
@@ -105,7 +105,7 @@ fn idle_gripper_changes_no_state() {
     world.watches.state.mark_unchanged();
     world.advance(Duration::from_secs(1));
     let after = state(&world);
-    assert!(after.updated_at > before.updated_at, "updates still arrive");
+    assert!(after.values.flags.arrived_at() > before.values.flags.arrived_at(), "updates still arrive");
     assert_eq!((after.seq, world.watches.state.has_changed().unwrap()), (before.seq, false));
     run(&mut world, move_to(50.0, 100.0));
     assert!(state(&world).seq > after.seq + 10, "each change counts");

@@ -6,11 +6,13 @@ mod device_faults;
 mod drain;
 mod drivers;
 mod faults;
+mod late;
 mod leases;
 mod repeats;
 mod restarts;
 mod slow_updates;
 pub mod steps;
+mod values;
 
 use std::time::Duration;
 
@@ -32,7 +34,7 @@ fn frame_sent_at_most_once() {
     let command = run(&mut world, grip(None));
     assert_eq!(command.outcome, Some(Outcome::Unknown));
     world.advance(Duration::from_secs(30));
-    assert_eq!(received(&world, from), [id::GRIP]);
+    assert_eq!(received(&world, from), [id::GRIP, id::STOP], "the Stop follows the unknown result");
 }
 
 #[test]
@@ -247,11 +249,11 @@ fn motions_are_50_ms_apart() {
 #[test]
 fn result_has_the_values_after_the_motion() {
     let mut world = homed();
-    assert_eq!(state(&world).width_mm.map(f32::round), Some(109.0), "value after homing");
+    assert_eq!(values(&world).width_mm.map(f32::round), Some(109.0), "value after homing");
     let held = run(&mut world, grip(Some(30.0)));
     assert_eq!(held.outcome, Some(Outcome::PartHeld));
-    assert_eq!(state(&world).state, Some("HOLDING"));
-    assert_eq!((held.width_mm, held.force_n), (state(&world).width_mm, state(&world).force_n));
+    assert_eq!(values(&world).state, Some("HOLDING"));
+    assert_eq!((held.width_mm, held.force_n), (values(&world).width_mm, values(&world).force_n));
 }
 
 #[test]
@@ -267,8 +269,8 @@ fn restarted_device_gets_its_settings_before_any_motion() {
     let snapshot = world.device.snapshot();
     assert!((snapshot.acceleration_mm_s2 - 2000.0).abs() < 0.1, "{snapshot:?}");
     assert!((snapshot.force_limit_n - 30.0).abs() < 0.1, "{snapshot:?}");
-    assert_eq!((state(&world).link, state(&world).referenced), (Link::Connected, Some(false)));
-    assert_eq!(state(&world).width_mm, None, "null until referenced");
+    assert_eq!((state(&world).link, values(&world).referenced), (Link::Connected, Some(false)));
+    assert_eq!(values(&world).width_mm, None, "null until referenced");
     assert_eq!(refused(&mut world, grip(None)), Conflict::NotReferenced.into());
 }
 
@@ -394,7 +396,7 @@ fn refused_updates_are_switched_on_later() {
     world.advance(Duration::from_secs(3));
     assert_eq!(run(&mut world, home()).outcome, Some(Outcome::Success));
     world.advance(Duration::from_secs(3));
-    assert_eq!(state(&world).width_mm, Some(109.0));
+    assert_eq!(values(&world).width_mm, Some(109.0));
 }
 
 #[test]
@@ -468,14 +470,14 @@ fn lost_part_names_its_grip_after_a_refusal_and_a_restart() {
     assert_eq!(run(&mut world, release).outcome, Some(Outcome::Refused));
     world.restart();
     world.advance(Duration::from_secs(2));
-    assert_eq!(state(&world).state, Some("HOLDING"));
+    assert_eq!(values(&world).state, Some("HOLDING"));
     world.device.apply(world.now, Change::SlipPart);
     world.advance(Duration::from_secs(1));
     assert_eq!(world.journal.lost_parts, [Some(grip.id)]);
     // The next run does not report a known loss again.
     world.restart();
     world.advance(Duration::from_secs(2));
-    assert_eq!((state(&world).state, world.journal.lost_parts.len()), (Some("PART_LOST"), 1));
+    assert_eq!((values(&world).state, world.journal.lost_parts.len()), (Some("PART_LOST"), 1));
 }
 
 #[test]

@@ -5,8 +5,8 @@ use std::time::Duration;
 use tokio::sync::oneshot;
 use wsg_gateway::gripper::handle::{ActorRequest, FastStopRequest, ResultSender};
 use wsg_gateway::gripper::model::{
-    Action, Client, CommandReport, Door, FastStopCause, FastStopId, LatchFields, Motion, Outcome, Phase, Reason,
-    RequestId, State, Submission,
+    Action, Client, CommandReport, Door, FastStopCause, FastStopId, LatchFields, MeasuredFields, Motion, Outcome,
+    Phase, Reason, RequestId, State, Submission,
 };
 use wsg_gateway::gripper::{Rejection, Ticket};
 use wsg_gateway::sim::{DeviceConfig, Part};
@@ -132,6 +132,11 @@ pub fn exchange(world: &mut World, command: wsg::Command) -> oneshot::Receiver<R
 
 pub fn state(world: &World) -> State {
     State::clone(&world.watches.state.borrow())
+}
+
+/// The measured values that clients see.
+pub fn values(world: &World) -> MeasuredFields {
+    MeasuredFields::at(&world.watches.state.borrow().values, world.now)
 }
 
 pub fn latch(world: &World) -> LatchFields {

@@ -3,9 +3,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
-use wsg_gateway::gripper::model::{Kind, Link, Outcome, Phase, State};
+use wsg_gateway::gripper::model::{Kind, Link, MeasuredFields, Outcome, Phase, State, UpdateMode};
 use wsg_gateway::sim::Interface;
-use wsg_gateway::wsg::{ChecksumEvaluation, Command, Decoded, Decoder, id};
+use wsg_gateway::wsg::{ChecksumEvaluation, Command, Decoded, Decoder, Reply, id};
 
 use super::client::{Admitted, is_streamed};
 use super::leases::Leases;
@@ -23,6 +23,59 @@ pub struct Invariants {
     fast_stop_sent: Option<Instant>,
     outcomes: BTreeMap<usize, Outcome>,
     repeats: Repeats,
+    values: HeardValues,
+    /// Motion frames that the device received after their command had ended, and that no Stop has followed yet.
+    late_motions: Vec<Instant>,
+    /// Number of the device's received frames that were looked at.
+    looked_at: u64,
+}
+
+/// Time within which a Stop has to follow a motion frame that arrives after its command has ended, also on a slow line.
+const STOPS_WITHIN: Duration = Duration::from_millis(500);
+
+/// Values that arrived at the gateway, decoded independently of it.
+struct HeardValues {
+    decoder: Decoder,
+    /// Arrival of the newest value by getter.
+    newest: BTreeMap<u8, Instant>,
+    /// Position of an incomplete frame, and the time since which it is incomplete.
+    partial: Option<(u64, Instant)>,
+}
+
+/// Time after which the rest of a frame no longer arrives, as on the gateway's link.
+const FRAME_GAP: Duration = Duration::from_millis(100);
+
+impl Default for HeardValues {
+    fn default() -> Self {
+        Self {
+            decoder: Decoder::new(id::max_reply_bytes, ChecksumEvaluation::On),
+            newest: BTreeMap::new(),
+            partial: None,
+        }
+    }
+}
+
+impl HeardValues {
+    /// Gives up an incomplete frame, as the gateway does. Whole frames can follow it.
+    fn give_up_partial(&mut self, now: Instant) {
+        if self.partial.is_some_and(|(_, since)| now >= since + FRAME_GAP) {
+            self.decoder.give_up_partial();
+            self.decode(now);
+        }
+    }
+
+    fn decode(&mut self, now: Instant) {
+        while let Some(decoded) = self.decoder.next() {
+            let Decoded::Frame(frame) = decoded else { continue };
+            if let Ok(Reply::Success(_)) = Reply::parse(frame.id, frame.payload) {
+                self.newest.insert(frame.id, now);
+            }
+        }
+        self.partial = self.decoder.is_partial().then(|| match self.partial {
+            Some((position, since)) if position == self.decoder.position() => (position, since),
+            _ => (self.decoder.position(), now),
+        });
+    }
 }
 
 /// Pause after which a reply no longer ends the request after its own.
@@ -59,6 +112,7 @@ impl Invariants {
     pub fn connected(&mut self) {
         let excused = std::mem::take(&mut self.repeats.excused);
         self.repeats = Repeats { excused, ..Repeats::default() };
+        self.values.decoder = Decoder::new(id::max_reply_bytes, ChecksumEvaluation::On);
     }
 
     /// Notes bytes that leave the device.
@@ -79,6 +133,74 @@ impl Invariants {
             }
             newest.insert(id, payload);
         }
+    }
+
+    /// Notes bytes that arrive at the gateway.
+    pub fn heard(&mut self, now: Instant, bytes: &[u8]) {
+        self.values.give_up_partial(now);
+        self.values.decoder.push(bytes);
+        self.values.decode(now);
+    }
+
+    /// Checks that no value is shown after its renewals have failed to arrive.
+    fn check_values(world: &mut World) {
+        world.invariants.values.give_up_partial(world.now);
+        let state = world.watches.state.borrow();
+        let period = Duration::from_millis(world.watches.info.borrow().update_period_ms.into());
+        let renewed_every = match world.config.updates.mode {
+            UpdateMode::Periodic => period,
+            UpdateMode::Changes => Duration::from_millis(300).max(period),
+        };
+        let limit = Duration::from_millis(500).max(5 * renewed_every);
+        let shown = MeasuredFields::at(&state.values, world.now);
+        let all = [
+            (id::GET_SYSTEM_STATE, shown.flags_raw.is_some()),
+            (id::GET_GRIPPER_STATE, shown.state.is_some()),
+            (id::GET_WIDTH, shown.width_mm.is_some()),
+            (id::GET_SPEED, shown.speed_mm_s.is_some()),
+            (id::GET_FORCE, shown.force_n.is_some()),
+        ];
+        for (id, _) in all.into_iter().filter(|(_, is_shown)| *is_shown) {
+            let newest = world.invariants.values.newest.get(&id);
+            // A frame behind a damaged one is found a little later.
+            let is_new = newest.is_some_and(|at| world.now < *at + limit + Duration::from_millis(200));
+            assert!(is_new, "old_is_not_live: {id:02X}h is shown, but came at {newest:?}\n{}", world.tail());
+        }
+        let says = state.fast_stop == Some(false) && state.link == Link::Connected;
+        assert!(!says || shown.flags_raw.is_some(), "old_is_not_live: no FAST STOP is known\n{}", world.tail());
+    }
+
+    /// Checks that a motion frame that the device receives after its command has ended is stopped.
+    fn check_late_motions(world: &mut World) {
+        let received = world.device.snapshot().received_frames;
+        let new = (received - world.invariants.looked_at) as usize;
+        world.invariants.looked_at = received;
+        let all = world.device.received();
+        for frame in &all[all.len() - new.min(all.len())..] {
+            if matches!(frame.id, id::STOP | id::FAST_STOP | id::DISCONNECT_ANNOUNCEMENT) {
+                world.invariants.late_motions.clear();
+            }
+            let bytes = encode_raw(frame.id, &frame.payload);
+            let mut commands = world
+                .clients
+                .admitted
+                .iter()
+                .filter(|admitted| admitted.motion.as_ref().map(encode) == Some(bytes.clone()));
+            let is_running = |admitted: &Admitted| admitted.ticket.now().phase == Phase::Running;
+            let is_streamed = frame.id == STREAM_ID;
+            if id::is_motion(frame.id) && !is_streamed && commands.clone().next().is_some() && !commands.any(is_running)
+            {
+                world.invariants.late_motions.push(frame.at);
+            }
+        }
+        let late = world.invariants.late_motions.len();
+        world.count("motion: received after its command had ended", late > 0);
+        let snapshot = world.device.snapshot();
+        if !snapshot.moving || !world.is_connected() {
+            world.invariants.late_motions.clear();
+        }
+        let is_over = |at: &Instant| world.now > *at + STOPS_WITHIN;
+        assert!(!world.invariants.late_motions.iter().any(is_over), "nothing_moves_late\n{}", world.tail());
     }
 
     /// Whether this echo may end another request.
@@ -136,6 +258,8 @@ impl Invariants {
 
     /// Checks the commands after every step.
     pub fn check(world: &mut World) {
+        Self::check_values(world);
+        Self::check_late_motions(world);
         for (index, admitted) in world.clients.admitted.iter().enumerate() {
             let Some(outcome) = admitted.ticket.now().outcome else { continue };
             let first = *world.invariants.outcomes.entry(index).or_insert(outcome);
@@ -158,8 +282,8 @@ impl Invariants {
         let stopped = world.device.snapshot().fast_stop || !is_requested(&state);
         let ended = world.clients.tickets().all(|ticket| ticket.now().phase == Phase::Done);
         // An update since the faults ended shows that the link is not half-open.
-        let heard = state.updated_at.is_some_and(|at| at > since + Duration::from_secs(1));
-        let heard = heard && state.flags_raw == Some(world.device.snapshot().flags.bits());
+        let heard = state.values.newest(world.now).is_some_and(|at| at > since + Duration::from_secs(1));
+        let heard = heard && state.values.flags(world.now) == Some(world.device.snapshot().flags);
         state.link == Link::Connected && heard && !unconfirmed && stopped && ended && world.clients.all_answered()
     }
 

@@ -454,8 +454,9 @@ impl Leases {
         let is_long = world.now >= since + KNOWN_AFTER;
         // A device that refuses 40h still sends its other values.
         let sends_flags = world.device.snapshot().updates.contains(&Command::GetSystemState(Updates::Off).id());
-        let is_heard = sends_flags && state.updated_at.is_some_and(|at| world.now < at + HEARD_WITHIN);
-        let reported = state.moving.filter(|_| state.moving == fingers.reported_moving);
+        let is_heard = sends_flags && state.values.newest(world.now).is_some_and(|at| world.now < at + HEARD_WITHIN);
+        let moving = state.values.has(SystemState::MOVING, world.now);
+        let reported = moving.filter(|_| moving == fingers.reported_moving);
         // If the link was lost or the device is silent, the last motion may continue.
         // Just after a motion's end, the flags can be older than the end.
         let has_rested = fingers.ended.is_none_or(|at| world.now >= at + RESTS_AFTER);
@@ -479,7 +480,7 @@ impl Leases {
         let moves = world.device.flags().contains(SystemState::MOVING);
         let state = world.watches.state.borrow();
         let fingers = &mut world.leases.fingers;
-        fingers.reported_moving = state.moving;
+        fingers.reported_moving = state.values.has(SystemState::MOVING, world.now);
         if fingers.runs && state.command.is_none() {
             fingers.ended = Some(world.now);
         }

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use rand::RngExt;
 use rand::rngs::SmallRng;
-use wsg_gateway::sim::{Change, FaultKind, Part};
+use wsg_gateway::sim::{BrokenGetter, Change, FaultKind, Part};
 use wsg_gateway::wsg::id;
 
 use super::leases::LeaseAsk;
@@ -18,6 +18,10 @@ pub enum Step {
     Client(Ask),
     /// Delays everything that the device sends by this much, in order.
     Stall(Duration),
+    /// Delays all requests by this much, in order.
+    StallRequests(Duration),
+    /// Delivers old datagrams once more, in both directions.
+    LateDatagrams,
 }
 
 /// A client request.
@@ -80,6 +84,19 @@ impl Schedule {
             let every = Duration::from_millis(rng.random_range(5..40));
             steps.extend((0..50).map(|n| (begins + n * every, Step::Client(Ask::Stream))));
         }
+        if rng.random_bool(0.15) {
+            let begins = at(rng);
+            let lasts = Duration::from_millis(rng.random_range(500..5000));
+            steps.push((begins, Step::StallRequests(lasts)));
+            if rng.random_bool(0.5) {
+                steps.push((begins, Step::Stall(lasts)));
+            }
+            let after = Duration::from_millis(rng.random_range(1..200));
+            steps.push((begins + after, Step::Client(ask(rng))));
+        }
+        for _ in 0..rng.random_range(0..3) {
+            steps.push((at(rng), Step::LateDatagrams));
+        }
         steps.sort_by_key(|(at, _)| *at);
         Self(steps.into())
     }
@@ -109,6 +126,7 @@ impl Schedule {
             Change::FingerOverCurrent { finger: 1, on: false },
             Change::FingerCommunicationFault { finger: 1, on: false },
             Change::RemoveObstacle,
+            Change::MendGetters,
         ]
         .into_iter()
     }
@@ -140,7 +158,7 @@ fn ask(rng: &mut SmallRng) -> Ask {
 
 /// Returns a change, and its reversal, if it has one.
 fn change(rng: &mut SmallRng) -> (Change, Option<Change>) {
-    match rng.random_range(0..18) {
+    match rng.random_range(0..20) {
         0 => (Change::PlacePart(Part::outside(rng.random_range(5.0..40.0))), None),
         1 => (Change::TakePart, None),
         2 => (Change::SlipPart, None),
@@ -163,8 +181,17 @@ fn change(rng: &mut SmallRng) -> (Change, Option<Change>) {
         13 => (Change::HalfOpen { on: true }, None),
         14 => (Change::RefuseConnections { on: true }, Some(Change::RefuseConnections { on: false })),
         15 => (Change::CutConnection, None),
+        16 | 17 => (broken_getter(rng), Some(Change::MendGetters)),
         _ => (fault(rng), None),
     }
+}
+
+fn broken_getter(rng: &mut SmallRng) -> Change {
+    let getters =
+        [id::GET_SYSTEM_STATE, id::GET_GRIPPER_STATE, id::GET_WIDTH, id::GET_SPEED, id::GET_FORCE, id::GET_TEMPERATURE];
+    let code = rng.random_range(1..40);
+    let hows = [BrokenGetter::Silent, BrokenGetter::Status { code }, BrokenGetter::NotANumber];
+    Change::BreakGetter { id: getters[rng.random_range(0..getters.len())], how: hows[rng.random_range(0..hows.len())] }
 }
 
 fn fault(rng: &mut SmallRng) -> Change {

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-use jiff::Timestamp;
+use jiff::{SignedDuration, Timestamp};
 use prometheus::Registry;
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};
@@ -12,7 +12,7 @@ use wsg_gateway::gripper::model::{CustomIds, IdSource, LeaseRules, OnJournalFail
 use wsg_gateway::gripper::{GripperMetrics, Now};
 use wsg_gateway::sim::{Device, DeviceConfig, Interface, LinkAction, Part, Script, ScriptAnswer};
 use wsg_gateway::transport::LinkProperties;
-use wsg_gateway::wsg::Command;
+use wsg_gateway::wsg::{Command, id};
 
 use super::client::Clients;
 use super::invariants::Invariants;
@@ -43,6 +43,8 @@ pub struct World {
     pub ids: IdSource,
     pub start: Instant,
     pub now: Instant,
+    /// Steps of the wall clock so far.
+    pub wall_offset: SignedDuration,
     pub config: ActorConfig,
     pub actor: Actor,
     pub watches: Watches,
@@ -59,13 +61,17 @@ pub struct World {
     steps: u64,
     reconnect_at: Option<Instant>,
     bytes_per_second: Option<u32>,
-    longest_delay: Duration,
+    pub longest_delay: Duration,
     /// End of the current frame on the line. Later frames wait, and can be overtaken.
     busy_until: Option<Instant>,
     to_device: Wire,
     to_gateway: Wire,
     /// End of the current stall of the device's output.
     stalled_until: Option<Instant>,
+    /// End of the current stall of the requests.
+    requests_stalled_until: Option<Instant>,
+    /// Newest request and newest reply that are kept to be delivered late.
+    old_datagrams: [Vec<u8>; 2],
     /// Whether the wire still damages bytes.
     pub noisy: bool,
 }
@@ -97,6 +103,11 @@ impl World {
         counts
     }
 
+    /// Whether gateway and device are connected.
+    pub fn is_connected(&self) -> bool {
+        self.connected
+    }
+
     pub fn count(&mut self, name: &str, happened: bool) {
         *self.counts.entry(name.to_owned()).or_default() += u64::from(happened);
     }
@@ -112,6 +123,11 @@ impl World {
         world.noisy = false;
         world.advance(Duration::from_secs(1));
         world
+    }
+
+    /// Delays all requests until this time is over. They then arrive in order.
+    pub fn stall_requests(&mut self, time: Duration) {
+        self.requests_stalled_until = Some(self.now + time);
     }
 
     /// Advances the clock.
@@ -190,6 +206,7 @@ impl World {
             rng,
             start: now,
             now,
+            wall_offset: SignedDuration::ZERO,
             actor,
             watches,
             device: Device::new(device, now),
@@ -209,14 +226,16 @@ impl World {
             to_device: Wire::default(),
             to_gateway: Wire::default(),
             stalled_until: None,
+            requests_stalled_until: None,
+            old_datagrams: [Vec::new(), Vec::new()],
             noisy: true,
         }
     }
 
     pub fn clock(&self) -> Now {
         let elapsed = self.now - self.start;
-        let wall = Timestamp::UNIX_EPOCH + jiff::SignedDuration::try_from(elapsed).unwrap();
-        Now { instant: self.now, wall }
+        let wall = Timestamp::UNIX_EPOCH + SignedDuration::try_from(elapsed).unwrap() + self.wall_offset;
+        Now { instant: self.now, wall, exact: wall }
     }
 
     pub fn note(&mut self, text: &str) {
@@ -263,6 +282,7 @@ impl World {
         }
         while let Some(bytes) = self.to_gateway.take(self.now) {
             let now = self.clock();
+            self.invariants.heard(self.now, &bytes);
             self.actor.receive(now, &bytes);
         }
         if self.actor.poll_timeout().is_some_and(|at| at <= self.now) {
@@ -321,6 +341,7 @@ impl World {
             let line_time = self.bytes_per_second.map(|rate| Duration::from_secs(1) * frame.len() as u32 / rate);
             self.busy_until = line_time.map(|time| self.now + time);
             let at = self.now + self.delay() + line_time.unwrap_or_default();
+            let at = at.max(self.requests_stalled_until.unwrap_or(at));
             let damaged = self.noisy && self.rng.random_bool(0.003);
             self.count("wire: request damaged", damaged);
             if damaged {
@@ -328,6 +349,7 @@ impl World {
                 frame[index] ^= 1 << self.rng.random_range(0..8);
             }
             if self.interface == Interface::Udp {
+                self.keep_old_datagram(0, &frame);
                 for at in self.arrivals("request", at) {
                     self.to_device.send_datagram(at, frame.clone());
                 }
@@ -361,6 +383,7 @@ impl World {
             return self.to_gateway.send(at, bytes);
         }
         if self.interface == Interface::Udp {
+            self.keep_old_datagram(1, &bytes);
             for at in self.arrivals("reply", at) {
                 self.to_gateway.send_datagram(at, bytes.clone());
             }
@@ -402,6 +425,33 @@ impl World {
 
     fn delay(&mut self) -> Duration {
         Duration::from_micros(self.rng.random_range(50..self.longest_delay.as_micros() as u64))
+    }
+
+    /// Delivers a datagram of each direction once more, long after it was sent.
+    fn deliver_late_datagrams(&mut self) {
+        if self.interface != Interface::Udp || !self.connected {
+            return;
+        }
+        let [request, reply] = self.old_datagrams.clone();
+        self.count("wire: late datagrams", !request.is_empty() && !reply.is_empty());
+        self.note(&format!("late {} and {}", hex::encode(&request), hex::encode(&reply)));
+        if !request.is_empty() {
+            self.device.receive(self.now, &request);
+        }
+        if !reply.is_empty() {
+            let now = self.clock();
+            self.invariants.heard(self.now, &reply);
+            self.actor.receive(now, &reply);
+        }
+    }
+
+    /// Keeps a datagram now and then, to be delivered late. Requests that move the fingers are kept by the wire alone:
+    /// no gateway can tell a late one from a new one.
+    fn keep_old_datagram(&mut self, direction: usize, bytes: &[u8]) {
+        let moves = direction == 0 && bytes.get(3).is_some_and(|id| id::is_motion_or_script(*id));
+        if !moves && self.rng.random_bool(0.02) {
+            self.old_datagrams[direction] = bytes.to_vec();
+        }
     }
 
     /// Closes the link as the driver does when the actor asks for it.
@@ -453,6 +503,12 @@ impl World {
                 self.stalled_until = Some(self.now + time);
                 self.count("wire: device stalled", true);
             }
+            Step::StallRequests(time) => {
+                self.note(&format!("requests stalled for {time:?}"));
+                self.stall_requests(time);
+                self.count("wire: requests stalled", true);
+            }
+            Step::LateDatagrams => self.deliver_late_datagrams(),
         }
         self.settle();
     }

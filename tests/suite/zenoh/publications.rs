@@ -23,7 +23,7 @@ async fn states_telemetry_and_events_have_the_bodies_of_http() {
     let state = received.until("wsg/v1/gateway/g/state", |state| state["state"] == "HOLDING").await;
     assert_eq!(keys(&state), keys(&rig.gateway.state().await));
     let telemetry = received.until("wsg/v1/gateway/g/telemetry", |received| received["state"] == "HOLDING").await;
-    let fields = ["gripper", "seq", "at", "width_mm", "speed_mm_s", "force_n", "state", "flags_raw"];
+    let fields = ["gripper", "seq", "at", "measured_at", "width_mm", "speed_mm_s", "force_n", "state", "flags_raw"];
     assert_eq!(keys(&telemetry), fields.map(str::to_owned).into());
 
     let is_done = |event: &Value| event["kind"] == "command" && event["outcome"] == "PART_HELD";

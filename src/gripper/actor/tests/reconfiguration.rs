@@ -34,7 +34,7 @@ fn new_device_follows_a_clean_disconnect() {
     assert!(!rig.actor.is_reconfiguring() && answered.try_recv().is_ok());
     assert_eq!(rig.actor.take_connector().unwrap().url(), OTHER);
     assert_eq!(rig.watches.info.borrow().url, OTHER);
-    assert_eq!(rig.state().width_mm, None, "nothing is known of the new device");
+    assert_eq!(rig.state().values.width_mm(rig.now.instant), None, "nothing is known of the new device");
 }
 
 #[test]

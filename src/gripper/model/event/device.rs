@@ -58,6 +58,18 @@ pub enum DeviceEvent {
         /// Number of admitted requests.
         count: u64,
     },
+    /// Values became unknown, because the device does not send them, or sends an error or an impossible number.
+    ValuesUnknown {
+        /// Names of the values, as in the state.
+        values: Vec<&'static str>,
+        /// Reason, as text.
+        cause: String,
+    },
+    /// Values are known again.
+    ValuesKnown {
+        /// Names of the values, as in the state.
+        values: Vec<&'static str>,
+    },
     /// A held part was lost. The event belongs to the command that gripped the part.
     PartLost {
         /// Opening width in mm when the loss was noticed; null if unknown.

@@ -3,6 +3,7 @@
 //! The router mounts the documented handlers themselves, so the document can't fall behind.
 
 pub mod alarms;
+pub mod clock;
 pub mod commands;
 pub mod connection;
 pub mod device;

@@ -28,6 +28,7 @@ fn record(number: u64, kind: Kind) -> GripRecord {
         travel_mm: 0.0,
         contact_width_mm: None,
         time_to_contact_ms: None,
+        measured_at: None,
         samples: 0,
         curve: Vec::new(),
     }

@@ -13,7 +13,7 @@ use super::super::status::{self, GripperView};
 use super::pending::{ReplyAfterWrite, Target, Unanswered};
 use super::{ConnectionEnd, ModbusConnection};
 use crate::gripper::model::State;
-use crate::gripper::{Handle, clock};
+use crate::gripper::{Handle, Now, clock};
 use crate::operations::Code;
 
 /// Most registers in one read (Modbus Application Protocol V1.1b3, 6.3).
@@ -100,7 +100,7 @@ impl ModbusConnection {
         match target {
             Target::Gateway => {
                 let states: Vec<_> = self.context.gateway.grippers.all().iter().map(Handle::state).collect();
-                let inputs = status::of_gateway(states.iter().map(AsRef::<State>::as_ref), heartbeat);
+                let inputs = status::of_gateway(states.iter().map(AsRef::<State>::as_ref), heartbeat, Now::read());
                 UnitRegisters { outputs: self.image(target).outputs(), inputs, seen: 0 }
             }
             Target::Gripper(gripper) => {
@@ -111,7 +111,9 @@ impl ModbusConnection {
                 // The lease of a motion that has just taken it is kept a moment later.
                 let holds_lease = is_holder || is_claiming && state.lease_holder.as_deref() == Some(&*subject);
                 let is_reserved = state.reserved_for.as_deref() == Some(&*subject);
-                let inputs = status::of_gripper(&state, GripperView { image, holds_lease, is_reserved, heartbeat });
+                let now = clock::instant();
+                let view = GripperView { image, holds_lease, is_reserved, heartbeat, now };
+                let inputs = status::of_gripper(&state, view);
                 let seen = state.latch.as_ref().map_or(0, number_of);
                 UnitRegisters { outputs: image.outputs(), inputs, seen }
             }

@@ -49,7 +49,7 @@ fn lose_link_and_holder(on_loss_moving: OnLossMoving) -> (World, usize) {
     while !received(&world, from).contains(&id::PRE_POSITION) {
         world.advance(Duration::from_millis(1));
     }
-    assert_eq!(state(&world).moving, Some(false), "the flags have not shown the motion yet");
+    assert_eq!(values(&world).moving, Some(false), "the flags have not shown the motion yet");
     world.disconnected("pulled");
     assert_eq!(running.now().outcome, Some(Outcome::Unknown));
     let now = world.clock();
@@ -90,7 +90,7 @@ fn holder_lost_during_an_unknown_motion_is_a_fast_stop() {
     world.disconnected("unplugged");
     assert_eq!(finish(&mut world, &running).outcome, Some(Outcome::Unknown));
     world.advance(Duration::from_secs(1));
-    assert_eq!((state(&world).moving, state(&world).command), (Some(true), None));
+    assert_eq!((values(&world).moving, state(&world).command), (Some(true), None));
     let from = mark(&world);
     lose(&mut world, a.unwrap());
     world.advance(Duration::from_millis(200));
@@ -132,10 +132,14 @@ fn holder_lost_around_the_end_of_an_unanswered_motion_is_a_fast_stop() {
     for delay_ms in (900..1200).step_by(10) {
         let (mut world, a, running) = silent_motion(OnLossMoving::FastStop);
         world.advance(Duration::from_millis(delay_ms));
-        assert!(world.device.snapshot().moving);
+        let moves = world.device.snapshot().moving;
+        assert!(moves || delay_ms > 1000, "only the gateway's Stop ends the motion, after {delay_ms} ms");
         lose(&mut world, a);
-        assert!(state(&world).latch.is_some(), "{delay_ms} ms: {:?}", running.now().outcome);
-        assert_eq!(latch(&world).fast_stop_cause, FastStopCause::ClientLost);
+        assert!(!moves || state(&world).latch.is_some(), "{delay_ms} ms: {:?}", running.now().outcome);
+        let causes = state(&world).latch.map(|latch| latch.fast_stop_cause);
+        assert!(causes.is_none_or(|cause| cause == FastStopCause::ClientLost), "{causes:?}");
+        world.advance(Duration::from_millis(300));
+        assert!(!world.device.snapshot().moving, "{delay_ms} ms");
     }
 }
 

@@ -1,0 +1,34 @@
+//! The gateway's clock, so that a client can relate the times of measurement to its own clock.
+
+use jiff::Timestamp;
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use super::call::{Call, NoFields};
+use super::operation::{Operation, ready};
+use super::problem::Problem;
+use super::reply::Json;
+use crate::gripper::Now;
+
+pub const CLOCK: Operation = Operation::read("clock", "/clock", |call| ready(clock(&call)));
+
+/// Times of the gateway's clock, for an estimate of the client's offset to it (RFC 5905 section 8).
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({
+    "received_at": "2026-11-29T10:30:00.123456Z", "sent_at": "2026-11-29T10:30:00.123461Z"
+}))]
+pub struct GatewayClock {
+    /// Time at which the gateway took the request up, in UTC with microseconds.
+    #[schema(format = DateTime)]
+    received_at: String,
+    /// Time at which the gateway answered, in UTC with microseconds.
+    #[schema(format = DateTime)]
+    sent_at: String,
+}
+
+fn clock(call: &Call) -> Result<Json<GatewayClock>, Problem> {
+    let received_at = Now::read().exact;
+    let NoFields {} = call.fields()?;
+    let text = |at: Timestamp| format!("{at:.6}");
+    Ok(Json(GatewayClock { received_at: text(received_at), sent_at: text(Now::read().exact) }))
+}
