@@ -179,10 +179,10 @@ impl Actor {
             LossEffect::FastStop => self.fast_stop_for_lost(now, &held.holder),
             LossEffect::Stop => self.stop_motion(now, Some(&held.holder)),
             LossEffect::Finish | LossEffect::Keep => {
+                // The motion may go on, also one whose result a lost link has made unknown.
+                self.link.owed_stop.take_if(|stop| stop.lost.is_none());
                 // A motion that was not sent yet does not begin without its holder.
                 self.withdraw_waiting_motion(now);
-                // Its motion may go on, also one whose result a lost link has made unknown.
-                self.link.owed_stop.take_if(|stop| stop.lost.is_none());
                 // A motion under way can end with a held part.
                 self.lease.reserve(held.holder.clone());
             }
