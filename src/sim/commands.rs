@@ -1,13 +1,15 @@
 //! Handling of all requests except motions.
 
-use crate::wsg::{Acceleration, Command, CustomCommand, Data, Finger, Force, Reply, Status, Temperature, Updates, id};
+use crate::wsg::{
+    Acceleration, Command, CustomCommand, Data, Finger, Force, InvalidRequest, Reply, Status, Temperature, Updates, id,
+};
 
 use super::Device;
 use super::config::{Generation, ScriptAnswer};
 
 impl Device {
     /// Handles a request with a correct checksum.
-    pub(super) fn request(&mut self, id: u8, payload: &[u8]) {
+    pub(super) fn request(&mut self, id: u8, command: Result<Command, InvalidRequest>) {
         if self.outbox.is_full() {
             self.refused_requests += 1;
             if id == id::FAST_STOP {
@@ -26,9 +28,9 @@ impl Device {
             return self.answer_status(id, Status::E_CMD_UNKNOWN);
         }
         if id::is_motion(id) {
-            return self.motion_request(id, payload);
+            return self.motion_request(id, command);
         }
-        match Command::parse(id, payload) {
+        match command {
             Ok(command) => self.execute(command),
             Err(error) => self.answer_status(id, error.status()),
         }

@@ -4,9 +4,10 @@ use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 
-use crate::wsg::{Decoded, Decoder, Status, id};
+use crate::wsg::timed_decoder::RESYNC_PAUSE;
+use crate::wsg::{Command, Decoded, Decoder, InvalidRequest, Status, TimedDecoder, id};
 
-use super::config::BadChecksum;
+use super::config::{BadChecksum, DeviceConfig};
 use super::faults::{FaultKind, FaultName, FaultStage};
 use super::received::ReceivedFrame;
 use super::{Device, wire};
@@ -49,8 +50,7 @@ impl Device {
         self.link = Some(interface);
         self.connection += 1;
         (self.announced, self.is_cut, self.half_open, self.muted) = (false, false, false, false);
-        self.decoder = Decoder::new(id::max_request_bytes, self.config.checksum_evaluation);
-        self.partial_until = None;
+        self.decoder = request_decoder(&self.config);
         self.settle();
         true
     }
@@ -72,7 +72,7 @@ impl Device {
         if self.link.is_none() || self.half_open || self.is_cut || self.booting_until.is_some() {
             return;
         }
-        self.decoder.push(bytes);
+        self.decoder.push(self.clock, bytes);
         self.take_requests();
         self.settle();
     }
@@ -152,13 +152,12 @@ impl Device {
         self.outbox.clear();
         self.chunks.clear();
         self.late.clear();
-        self.decoder = Decoder::new(id::max_request_bytes, self.config.checksum_evaluation);
-        self.partial_until = None;
+        self.decoder = request_decoder(&self.config);
     }
 
-    /// Gives up an incomplete request.
-    pub(super) fn give_up_partial_request(&mut self) {
-        self.decoder.give_up_partial();
+    /// Gives up a request whose rest is overdue.
+    pub(super) fn give_up_overdue_request(&mut self) {
+        self.decoder.handle_timeout(self.clock);
         self.take_requests();
     }
 
@@ -166,10 +165,14 @@ impl Device {
         while let Some(decoded) = self.decoder.next() {
             match decoded {
                 Decoded::Frame(frame) => {
-                    let frame = ReceivedFrame { at: self.clock, id: frame.id, payload: frame.payload.to_vec() };
-                    self.log.push(frame.clone());
-                    self.request(frame.id, &frame.payload);
+                    let (id, payload) = (frame.id, frame.payload.to_vec());
+                    let command = Command::parse(id, &payload);
+                    self.take_request(id, payload, command);
                 }
+                Decoded::TooLong { id, payload_bytes } => {
+                    self.take_request(id, Vec::new(), Command::parse_too_long(id, payload_bytes));
+                }
+                Decoded::MissedFastStop => self.take_request(id::FAST_STOP, Vec::new(), Ok(Command::FastStop)),
                 Decoded::Damaged { id } => {
                     self.damaged_requests += 1;
                     if self.config.bad_checksum == BadChecksum::Answer {
@@ -178,9 +181,18 @@ impl Device {
                 }
             }
         }
-        let until = self.clock + self.config.partial_request_timeout;
-        self.partial_until = self.decoder.is_partial().then_some(until);
     }
+
+    fn take_request(&mut self, id: u8, payload: Vec<u8>, command: Result<Command, InvalidRequest>) {
+        self.log.push(ReceivedFrame { at: self.clock, id, payload });
+        self.request(id, command);
+    }
+}
+
+/// Returns a decoder for a new connection.
+pub(super) fn request_decoder(config: &DeviceConfig) -> TimedDecoder {
+    let decoder = Decoder::of_requests(config.checksum_evaluation);
+    TimedDecoder::new(decoder, config.partial_request_timeout, RESYNC_PAUSE)
 }
 
 #[cfg(test)]

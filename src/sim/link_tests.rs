@@ -96,12 +96,43 @@ fn requests_can_arrive_in_pieces_or_together() {
 
 #[test]
 fn incomplete_request_is_given_up() {
-    let mut bench = Bench::new(DeviceConfig::wsg50());
-    bench.device.receive(bench.now, &[0xAA, 0xAA, 0xAA, id::LOOP, 100, 0]);
-    assert_eq!(bench.ask(&looped(&[1])), [], "swallowed by the false start");
+    let mut bench = Bench::homed(DeviceConfig::wsg50());
+    let start = [0xAA, 0xAA, 0xAA, id::LOOP, 0, 2];
+    bench.device.receive(bench.now, &start);
+    assert_eq!(bench.ask(&move_to(50.0, 50.0)), [], "part of the payload");
     assert_eq!(bench.pass(ms(499)), []);
-    assert_eq!(bench.pass(ms(1)), [(id::LOOP, Reply::Success(Data::Loop(vec![1])))]);
+    assert_eq!(bench.pass(ms(2)), [], "dropped with the rest of the frame");
     assert_eq!(bench.device.poll_timeout(), None);
+    assert_eq!(bench.ask(&looped(&[1])), [(id::LOOP, Reply::Success(Data::Loop(vec![1])))]);
+
+    bench.device.receive(bench.now, &start);
+    assert_eq!(bench.ask(&Command::FastStop), [], "perhaps part of the payload");
+    assert_eq!(bench.pass(ms(501)), [(id::FAST_STOP, DONE)], "perhaps not");
+}
+
+#[test]
+fn request_of_any_size_gets_its_status_and_its_payload_does_nothing() {
+    let mut bench = Bench::homed(DeviceConfig { bad_checksum: BadChecksum::Answer, ..DeviceConfig::wsg50() });
+    let payload = [&[0; 10][..], &bytes(&move_to(50.0, 50.0)), &bytes(&Command::FastStop), &[0; 5000]].concat();
+    let too_long = [
+        (id::LOOP, Status::E_CMD_FORMAT_ERROR),
+        (id::SET_DEVICE_TAG, Status::E_OVERRUN),
+        (id::STOP, Status::E_NO_PARAM_EXPECTED),
+        (id::GRIP, Status::E_CMD_FORMAT_ERROR),
+        (0xB0, Status::E_CMD_UNKNOWN),
+    ];
+    for (id, status) in too_long {
+        assert_eq!(bench.status_of_raw(id, &payload), status, "{id:02X}h");
+    }
+    assert!(!bench.has_any(SystemState::MOVING | SystemState::FAST_STOP));
+    let mut wrong = Vec::new();
+    crate::wsg::frame::encode(id::LOOP, &[&[0; 10][..], &bytes(&move_to(50.0, 50.0)), &[0; 5000]].concat(), &mut wrong);
+    *wrong.last_mut().unwrap() ^= 1;
+    bench.device.receive(bench.now, &wrong);
+    assert_eq!(bench.frames(), [(id::LOOP, status(Status::E_CHECKSUM_ERROR))]);
+    assert!(!bench.has(SystemState::MOVING));
+    assert_eq!(bench.status_of_raw(id::FAST_STOP, &[0; 5000]), Status::E_SUCCESS, "stops whatever its payload");
+    assert!(bench.has(SystemState::FAST_STOP));
 }
 
 #[test]

@@ -16,7 +16,7 @@
 use std::collections::VecDeque;
 use std::time::Instant;
 
-use crate::wsg::{Decoder, Subscriptions, id};
+use crate::wsg::{Subscriptions, TimedDecoder};
 
 mod axis;
 mod change;
@@ -121,8 +121,7 @@ pub struct Device {
     muted: bool,
     refuses_connections: bool,
     link_actions: VecDeque<LinkAction>,
-    decoder: Decoder,
-    partial_until: Option<Instant>,
+    decoder: TimedDecoder,
     outbox: ReplyQueue,
     /// Bytes that leave before the outbox's, one chunk per write.
     chunks: VecDeque<Vec<u8>>,
@@ -175,8 +174,7 @@ impl Device {
             muted: false,
             refuses_connections: false,
             link_actions: VecDeque::new(),
-            decoder: Decoder::new(id::max_request_bytes, config.checksum_evaluation),
-            partial_until: None,
+            decoder: link::request_decoder(&config),
             outbox: ReplyQueue::default(),
             chunks: VecDeque::new(),
             late: Vec::new(),

@@ -17,8 +17,8 @@ const BLOCK_FORCE_SHARE: f64 = 0.5;
 
 impl Device {
     /// Checks a request in the order of the manual's statuses, and starts the motion.
-    pub(super) fn motion_request(&mut self, id: u8, payload: &[u8]) {
-        match self.check_motion(Command::parse(id, payload)) {
+    pub(super) fn motion_request(&mut self, id: u8, command: Result<Command, InvalidRequest>) {
+        match self.check_motion(command) {
             Ok((kind, plan)) => {
                 let ticket = self.pending(id);
                 self.start(Some(ticket), kind, plan);

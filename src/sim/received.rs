@@ -11,6 +11,7 @@ pub struct ReceivedFrame {
     /// Time at which the frame was complete.
     pub at: Instant,
     pub id: u8,
+    /// Empty if the payload was too long to be kept.
     pub payload: Vec<u8>,
 }
 

@@ -52,7 +52,7 @@ impl Device {
             self.fingers[0].powered_up_at,
             self.fingers[1].powered_up_at,
             self.late.iter().map(|late| late.at).min(),
-            self.partial_until,
+            self.decoder.deadline(),
             self.thermal.crosses(self.config.warning_c, self.clock),
             self.thermal.crosses(self.config.critical_c, self.clock),
             self.subscriptions.due(true, |id| Some(self.value(id))),
@@ -84,8 +84,8 @@ impl Device {
                 self.finger_is_up(index);
             }
         }
-        if is_due(self.partial_until) {
-            self.give_up_partial_request();
+        if is_due(self.decoder.deadline()) {
+            self.give_up_overdue_request();
         }
         self.send_late();
         self.watch_faults();

@@ -189,8 +189,7 @@ impl InvalidRequest {
             Self::Value(_) | Self::Number(..) | Self::Tag(InvalidDeviceTag::IllegalCharacter) => {
                 Status::E_INVALID_PARAMETER
             }
-            Self::Tag(InvalidDeviceTag::TooLong) => Status::E_OVERRUN,
-            Self::Custom(..) => Status::E_CMD_UNKNOWN,
+            Self::Tag(InvalidDeviceTag::TooLong) | Self::Custom(..) => Status::E_OVERRUN,
         }
     }
 }
@@ -351,18 +350,23 @@ impl Command {
             return custom.map(Self::Custom).ok_or(InvalidRequest::Custom(id, payload.len()));
         };
         let name = description.name;
-        let right_length = match description.parameters {
-            LengthRule::NoneExpected if !payload.is_empty() => {
-                return Err(InvalidRequest::NoParameterExpected(name, payload.len()));
-            }
-            LengthRule::Exactly(bytes) => payload.len() == bytes,
-            LengthRule::AtMost(bytes) => payload.len() <= bytes,
-            LengthRule::NoneExpected | LengthRule::Text | LengthRule::Anything => true,
-        };
-        if !right_length {
-            return Err(InvalidRequest::Format(name, payload.len()));
-        }
+        check_length(name, description.parameters, payload.len())?;
         Self::parse_parameters(id, name, payload)
+    }
+
+    /// Parses a request whose payload of more than [`id::MAX_OPAQUE_BYTES`] was not kept. Only a FAST STOP has no
+    /// limit.
+    ///
+    /// # Errors
+    /// [`InvalidRequest`]; its [`status`](InvalidRequest::status) is the device's reply.
+    pub fn parse_too_long(id: u8, payload_bytes: usize) -> Result<Self, InvalidRequest> {
+        let Some(description) = id::describe(id) else { return Err(InvalidRequest::Custom(id, payload_bytes)) };
+        check_length(description.name, description.parameters, payload_bytes)?;
+        match description.parameters {
+            LengthRule::Text => Err(InvalidDeviceTag::TooLong.into()),
+            _ if id == id::FAST_STOP => Ok(Self::FastStop),
+            _ => Err(InvalidRequest::Format(description.name, payload_bytes)),
+        }
     }
 
     fn parse_parameters(id: u8, name: &'static str, payload: &[u8]) -> Result<Self, InvalidRequest> {
@@ -430,6 +434,16 @@ impl Command {
             _ => return Err(InvalidRequest::Custom(id, payload.len())),
         })
     }
+}
+
+fn check_length(name: &'static str, rule: LengthRule, bytes: usize) -> Result<(), InvalidRequest> {
+    let is_right = match rule {
+        LengthRule::NoneExpected if bytes > 0 => return Err(InvalidRequest::NoParameterExpected(name, bytes)),
+        LengthRule::Exactly(exactly) => bytes == exactly,
+        LengthRule::AtMost(most) => bytes <= most,
+        LengthRule::NoneExpected | LengthRule::Text | LengthRule::Anything => true,
+    };
+    if is_right { Ok(()) } else { Err(InvalidRequest::Format(name, bytes)) }
 }
 
 impl Updates {

@@ -81,7 +81,7 @@ pub const GET_FINGER_2_DATA: u8 = 0x73;
 pub const MAX_LOOP_BYTES: usize = 256;
 
 /// Limit in bytes of a finger's data frame, and of a custom command in either direction. The manuals give only the size
-/// field's 65535. This lower limit keeps a false header from blinding the decoder, and exceeds any script in use.
+/// field's 65535. This lower limit bounds the memory of a decoder, and exceeds any script in use.
 pub const MAX_OPAQUE_BYTES: usize = 4096;
 
 /// Limit in bytes of fields that a later firmware may have added to a reply. It is small, so that a damaged size blinds
@@ -275,8 +275,13 @@ pub fn is_longer_than_its_manual(id: u8, payload_bytes: usize) -> bool {
     describe(id).is_some_and(|row| payload_bytes > STATUS_BYTES + row.data.max)
 }
 
-/// Largest request payload in bytes that a device reads. It exceeds what each command takes, because a request that is
-/// too long for its command still gets a status.
+/// Whether a reply to `id` contains anybody's bytes, so that they can look like frames.
+#[must_use]
+pub fn has_opaque_replies(id: u8) -> bool {
+    matches!(id, LOOP | GET_FINGER_1_DATA | GET_FINGER_2_DATA) || is_custom(id)
+}
+
+/// Largest request payload in bytes that is kept. A longer one still gets a status.
 #[must_use]
 pub const fn max_request_bytes(_id: u8) -> usize {
     MAX_OPAQUE_BYTES

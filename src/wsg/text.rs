@@ -355,6 +355,13 @@ pub fn describe_damaged(id: u8) -> String {
     format!("{name}  [checksum wrong]")
 }
 
+/// Describes a frame whose payload is too long to be shown.
+#[must_use]
+pub fn describe_too_long(id: u8, payload_bytes: usize) -> String {
+    let name = id::name(id).map_or_else(|| format!("0x{id:02X}"), str::to_owned);
+    format!("{name}  ({payload_bytes} bytes, too many to be shown)")
+}
+
 /// Describes bytes outside any frame.
 #[must_use]
 pub fn describe_skipped(bytes: u64) -> String {

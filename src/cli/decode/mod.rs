@@ -8,7 +8,7 @@ mod follow;
 use std::io::{self, BufRead, Write};
 
 use crate::wsg::frame::PREAMBLE;
-use crate::wsg::text::{WireDirection, describe, describe_damaged, describe_skipped};
+use crate::wsg::text::{WireDirection, describe, describe_damaged, describe_skipped, describe_too_long};
 use crate::wsg::{ChecksumEvaluation, Command, Decoded, Decoder, id};
 
 pub(super) use follow::follow;
@@ -120,7 +120,12 @@ struct Stream {
 
 impl Stream {
     fn new(direction: WireDirection) -> Self {
-        let decoder = Decoder::new(id::max_request_bytes, ChecksumEvaluation::On);
+        let decoder = match direction {
+            WireDirection::Request => Decoder::of_requests(ChecksumEvaluation::On),
+            WireDirection::Reply | WireDirection::Unknown => {
+                Decoder::new(id::max_request_bytes, ChecksumEvaluation::On)
+            }
+        };
         Self { direction, decoder, skipped: 0 }
     }
 
@@ -133,6 +138,7 @@ impl Stream {
     }
 
     fn take(&mut self, line: &Line<'_>, output: &mut impl Write) -> std::io::Result<()> {
+        self.decoder.pause();
         self.decoder.push(&line.bytes);
         let before = if line.time.is_empty() { String::new() } else { format!("{} ", line.time) };
         let mark = self.mark();
@@ -143,6 +149,12 @@ impl Stream {
                 }
                 Decoded::Damaged { id } => {
                     writeln!(output, "{before}{mark}{}", describe_damaged(id))?;
+                }
+                Decoded::TooLong { id, payload_bytes } => {
+                    writeln!(output, "{before}{mark}{}  [checksum ok]", describe_too_long(id, payload_bytes))?;
+                }
+                Decoded::MissedFastStop => {
+                    writeln!(output, "{before}{mark}FastStop  [in damaged bytes]")?;
                 }
             }
         }
@@ -222,6 +234,16 @@ mod tests {
         assert!(decoded("AA AA AA 22 00 00 0E 77").contains("Stop  [checksum wrong]"));
         assert!(decoded("AA AA AA 22 00").contains("cut short"));
         assert!(decoded("00 01 02 AA AA AA 22 00 00 0E 76").contains("(3 bytes outside any frame)"));
+    }
+
+    #[test]
+    fn payload_of_a_request_is_not_decoded() {
+        let mut inside = Vec::new();
+        Command::Stop.encode(&mut inside);
+        let mut bytes = Vec::new();
+        crate::wsg::frame::encode(id::LOOP, &[inside, vec![0; 5000]].concat(), &mut bytes);
+        let expected = "> Loop  (5008 bytes, too many to be shown)  [checksum ok]\n";
+        assert_eq!(decoded(&format!("-> {}", hex::encode(bytes))), expected);
     }
 
     #[test]

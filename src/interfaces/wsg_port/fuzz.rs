@@ -11,16 +11,14 @@ use crate::gripper::FastStop;
 use crate::gripper::model::{CustomIds, FastStopCause, FastStopId, LatchFields, Link, Name, Reason, State, Values};
 use crate::wsg::{ChecksumEvaluation, Data, Decoded, Decoder, GripperState, Reply, Status, SystemState, frame, id};
 
-/// Checks a client's session. Each frame for the client is valid, their number is bounded, and a FAST STOP at the end is
-/// obeyed, whatever was sent before. The first byte sets the rules. Each later byte selects a step.
+/// Checks a client's session. Each frame for the client is valid, their number is bounded, and a FAST STOP at the end
+/// is obeyed, whatever was sent before. Nothing in a payload is executed. The first byte sets the rules. Each later
+/// byte selects a step.
 pub(crate) fn session(data: &[u8]) {
-    let (Some((&rules, mut steps)), Ok(name)) = (data.split_first(), "g".parse::<Name>()) else { return };
-    let evaluates = rules % 2 == 1;
-    let rules = Rules { checksum_evaluation: evaluates, acknowledge_any: rules & 2 == 2, allow: Vec::new() };
-    let custom_ids = CustomIds { read: [0xB2].into(), stream: [0xB1].into() };
-    let mut device = VirtualDevice::new("wsg:10.0.0.1".into(), &rules, Arc::new(custom_ids), 10);
-    let values = Values::fixed(SystemState::REFERENCED, GripperState::Idle, [20.0, 0.0, 0.0]);
-    let mut state = State { link: Link::Connected, values, ..State::unknown(name) };
+    let Some((&rules, mut steps)) = data.split_first() else { return };
+    let rules = Rules { checksum_evaluation: rules % 2 == 1, acknowledge_any: rules & 2 == 2, allow: Vec::new() };
+    let Some((mut device, mut state)) = connected(&rules) else { return };
+    nested(&rules, steps);
     let (mut now, mut orders) = (Instant::now(), VecDeque::new());
     while let Some((&step, rest)) = steps.split_first() {
         steps = rest;
@@ -83,6 +81,39 @@ pub(crate) fn session(data: &[u8]) {
     frame::encode(id::FAST_STOP, &[], &mut fast_stop);
     device.receive(now, &fast_stop, &state);
     assert!(device.is_stopping() || device.has_overflown(), "a FAST STOP was lost");
+}
+
+fn connected(rules: &Rules) -> Option<(VirtualDevice, State)> {
+    let name = "g".parse::<Name>().ok()?;
+    let custom_ids = CustomIds { read: [0xB2].into(), stream: [0xB1].into() };
+    let device = VirtualDevice::new("wsg:10.0.0.1".into(), rules, Arc::new(custom_ids), 10);
+    let values = Values::fixed(SystemState::REFERENCED, GripperState::Idle, [20.0, 0.0, 0.0]);
+    let state = State { link: Link::Connected, values, ..State::unknown(name) };
+    Some((device, state))
+}
+
+/// Sends a frame with these bytes as payload, once and repeated, and checks that the payload causes nothing: no order,
+/// no reply.
+fn nested(rules: &Rules, bytes: &[u8]) {
+    let Some((&id, bytes)) = bytes.split_first().filter(|(id, _)| **id != frame::PREAMBLE[0]) else { return };
+    for times in [1, 1 + 5000 / bytes.len().max(1), 65_535 / bytes.len().max(1)] {
+        let Some((mut device, state)) = connected(rules) else { return };
+        let (mut sent, payload) = (Vec::new(), bytes.repeat(times));
+        // Looks like a Disconnect Announcement with a short size field.
+        if id == id::DISCONNECT_ANNOUNCEMENT && payload.len() % 256 == 0 {
+            continue;
+        }
+        frame::encode(id, &payload, &mut sent);
+        for piece in sent.chunks(1000) {
+            device.receive(Instant::now(), piece, &state);
+        }
+        let ordered: Vec<_> = std::iter::from_fn(|| device.poll_order()).map(|ordered| ordered.ask.id).collect();
+        let replied: Vec<_> = std::iter::from_fn(|| device.poll_frame()).map(|frame| frame[3]).collect();
+        assert!(
+            matches!((&ordered[..], &replied[..]), ([one], []) | ([], [one]) if *one == id),
+            "{ordered:?} {replied:?}"
+        );
+    }
 }
 
 /// Checks that these bytes are one frame.

@@ -2,19 +2,12 @@
 
 use std::time::{Duration, Instant};
 
-use crate::wsg::crc;
 use crate::wsg::id::{self, LengthRule};
-use crate::wsg::{ChecksumEvaluation, Command, Decoded, Decoder, InvalidRequest, Status};
+use crate::wsg::timed_decoder::RESYNC_PAUSE;
+use crate::wsg::{ChecksumEvaluation, Command, Decoded, Decoder, InvalidRequest, Status, TimedDecoder};
 
 /// Time limit for the rest of a frame: longer than TCP takes to retransmit a lost segment.
-const PARTIAL_WITHIN: Duration = Duration::from_millis(500);
-
-/// First bytes of a 07h.
-const ANNOUNCEMENT: [u8; 4] = [0xAA, 0xAA, 0xAA, id::DISCONNECT_ANNOUNCEMENT];
-
-/// Length of a 07h with a one-byte size field, checksum included. Parsed as a regular frame, it would announce hundreds
-/// of parameter bytes and swallow the following frames.
-const SHORT_ANNOUNCEMENT_BYTES: usize = 7;
+const FRAME_WITHIN: Duration = Duration::from_millis(500);
 
 /// A request as received.
 #[derive(Debug)]
@@ -47,29 +40,18 @@ impl Unusable {
 
 #[derive(Debug)]
 pub(super) struct PortInput {
-    decoder: Decoder,
-    evaluation: ChecksumEvaluation,
-    /// Time of the newest bytes, or of the last time-out.
-    heard: Option<Instant>,
-    /// Position of an incomplete frame, and the time limit for its rest. Further bytes do not extend it: a damaged size
-    /// field must not hide the FAST STOPs behind it for long.
-    partial: Option<(u64, Instant)>,
+    decoder: TimedDecoder,
     /// Damaged frames since the last good one.
     damaged: u32,
 }
 
-/// Consecutive damaged frames after which a client's bytes are no longer read. Each can cost a checksum over 4 KiB.
+/// Consecutive damaged frames after which a client's bytes are no longer read.
 const MAX_DAMAGED: u32 = 64;
 
 impl PortInput {
     pub(super) fn new(evaluation: ChecksumEvaluation) -> Self {
-        Self {
-            decoder: Decoder::new(max_request_bytes, evaluation),
-            evaluation,
-            heard: None,
-            partial: None,
-            damaged: 0,
-        }
+        let decoder = Decoder::of_requests(evaluation).with_short_announcements();
+        Self { decoder: TimedDecoder::new(decoder, FRAME_WITHIN, RESYNC_PAUSE), damaged: 0 }
     }
 
     /// Whether too many consecutive frames were damaged, so that no more bytes are read.
@@ -82,73 +64,34 @@ impl PortInput {
         if self.is_garbage() {
             return;
         }
-        self.decoder.push(bytes);
-        self.heard = Some(now);
+        self.decoder.push(now, bytes);
     }
 
     pub(super) fn next(&mut self) -> Option<ReceivedRequest> {
         if self.is_garbage() {
             return None;
         }
-        if let Some(announcement) = self.short_announcement() {
-            return Some(announcement);
-        }
-        let Some(decoded) = self.decoder.next() else {
-            self.watch_partial();
-            // A short announcement can follow garbage.
-            return self.short_announcement();
-        };
+        let decoded = self.decoder.next()?;
         self.damaged = if matches!(decoded, Decoded::Damaged { .. }) { self.damaged + 1 } else { 0 };
         Some(match decoded {
             Decoded::Frame(frame) => ReceivedRequest { id: frame.id, command: parse(frame.id, frame.payload) },
+            Decoded::TooLong { id, payload_bytes } => {
+                let command = Command::parse_too_long(id, payload_bytes).map_err(Unusable::from);
+                ReceivedRequest { id, command }
+            }
             Decoded::Damaged { id } => ReceivedRequest { id, command: Err(Unusable::Checksum) },
+            Decoded::MissedFastStop => ReceivedRequest { id: id::FAST_STOP, command: Ok(Command::FastStop) },
         })
     }
 
     /// Returns the time at which the rest of a frame counts as lost.
     pub(super) fn deadline(&self) -> Option<Instant> {
-        self.partial.map(|(_, until)| until).filter(|_| !self.is_garbage())
+        self.decoder.deadline().filter(|_| !self.is_garbage())
     }
 
-    fn watch_partial(&mut self) {
-        let position = self.decoder.position();
-        self.partial = match self.partial {
-            _ if !self.decoder.is_partial() => None,
-            Some((same, until)) if same == position => Some((same, until)),
-            _ => self.heard.map(|heard| (position, heard + PARTIAL_WITHIN)),
-        };
-    }
-
-    /// Discards a frame whose rest is overdue.
+    /// Drops a frame whose rest is overdue.
     pub(super) fn handle_timeout(&mut self, now: Instant) {
-        if self.partial.is_some_and(|(_, until)| until <= now) {
-            self.heard = Some(now);
-            self.decoder.give_up_partial();
-        }
-    }
-
-    /// Returns a 07h with a one-byte size field, which one existing client sends. If it were not understood, the
-    /// gripper would stop when that client disconnects. A frame that only looks like one counts as damaged, so that a
-    /// FAST STOP behind it does not wait for its rest.
-    fn short_announcement(&mut self) -> Option<ReceivedRequest> {
-        let waiting = self.decoder.partial();
-        let short = waiting.get(..SHORT_ANNOUNCEMENT_BYTES).filter(|short| short.starts_with(&ANNOUNCEMENT))?;
-        // The second byte of a regular size field is zero.
-        let (size, begins_checksum) = (short.get(4)?, short.get(5)? != &0);
-        if !begins_checksum {
-            return None;
-        }
-        let is_valid = self.evaluation == ChecksumEvaluation::Off || crc::checksum(short) == 0;
-        let command = if *size == 0 && is_valid {
-            let behind = waiting.get(SHORT_ANNOUNCEMENT_BYTES..).unwrap_or_default().to_vec();
-            self.decoder = Decoder::new(max_request_bytes, self.evaluation);
-            self.decoder.push(&behind);
-            Ok(Command::DisconnectAnnouncement)
-        } else {
-            self.decoder.give_up_partial();
-            Err(Unusable::Checksum)
-        };
-        Some(ReceivedRequest { id: id::DISCONNECT_ANNOUNCEMENT, command })
+        self.decoder.handle_timeout(now);
     }
 }
 
@@ -164,11 +107,6 @@ fn parse(id: u8, payload: &[u8]) -> Result<Command, Unusable> {
 
 fn is_query(id: u8) -> bool {
     id::has_updates(id) || id == id::GET_STATISTICS
-}
-
-/// Returns the maximum size of a request. A 07h can have any announced size, since its size field can be short.
-fn max_request_bytes(id: u8) -> usize {
-    if id == id::DISCONNECT_ANNOUNCEMENT { u16::MAX.into() } else { id::max_request_bytes(id) }
 }
 
 #[cfg(test)]
@@ -221,36 +159,100 @@ mod tests {
         assert_eq!(requests(on, &whole, whole.len()), [announced, fast_stop]);
     }
 
-    #[test]
-    fn announcement_with_impossible_size_swallows_nothing() {
-        let bytes = [&[0xAA, 0xAA, 0xAA, 0x07, 0xFF, 0xFF][..], &frame(id::FAST_STOP, &[])].concat();
-        let found = requests(ChecksumEvaluation::On, &bytes, bytes.len());
-        assert_eq!(found.last(), Some(&(id::FAST_STOP, Ok(Command::FastStop))));
+    /// Bytes of a move.
+    fn motion() -> Vec<u8> {
+        frame(id::PRE_POSITION, &[0; 9])
+    }
+
+    fn all(input: &mut PortInput) -> Vec<(u8, Result<Command, Unusable>)> {
+        std::iter::from_fn(|| input.next()).map(|request| (request.id, request.command)).collect()
     }
 
     #[test]
-    fn further_requests_do_not_extend_the_wait_for_a_damaged_frame() {
-        let mut input = PortInput::new(ChecksumEvaluation::On);
-        let begin = Instant::now();
-        // Announces more bytes than follow.
-        input.push(begin, &[0xAA, 0xAA, 0xAA, 0xB5, 0x00, 0x10]);
-        assert!(input.next().is_none());
-        let until = begin + PARTIAL_WITHIN;
-        for n in 1..=5 {
-            input.push(begin + n * PARTIAL_WITHIN / 6, &frame(id::FAST_STOP, &[]));
-            assert!(input.next().is_none());
-            assert_eq!(input.deadline(), Some(until));
+    fn request_of_any_size_is_one_request() {
+        let payload = [&[0; 10][..], &motion(), &frame(id::FAST_STOP, &[]), &[0; 5000]].concat();
+        let cases = [
+            (id::LOOP, Status::E_CMD_FORMAT_ERROR),
+            (id::SET_DEVICE_TAG, Status::E_OVERRUN),
+            (id::DISCONNECT_ANNOUNCEMENT, Status::E_NO_PARAM_EXPECTED),
+            (id::PRE_POSITION, Status::E_CMD_FORMAT_ERROR),
+            (0xB0, Status::E_OVERRUN),
+        ];
+        for (id, status) in cases {
+            let bytes = [frame(id, &payload), frame(id::GET_SYSTEM_INFO, &[])].concat();
+            for in_pieces_of in [1, 1000, bytes.len()] {
+                let found = requests(ChecksumEvaluation::On, &bytes, in_pieces_of);
+                assert_eq!(found.len(), 2, "{id:02X}h: {found:?}");
+                assert_eq!((found[0].0, found[0].1.as_ref().unwrap_err().status()), (id, status));
+                assert_eq!(found[1], (id::GET_SYSTEM_INFO, Ok(Command::GetSystemInfo)));
+            }
         }
-        input.handle_timeout(until);
-        let found = std::iter::from_fn(|| input.next()).map(|request| request.id).collect::<Vec<_>>();
-        assert_eq!((found, input.deadline()), (vec![id::FAST_STOP; 5], None));
+        let stop = requests(ChecksumEvaluation::On, &frame(id::FAST_STOP, &payload), 1000);
+        assert_eq!(stop, [(id::FAST_STOP, Ok(Command::FastStop))]);
+    }
+
+    #[test]
+    fn damaged_request_is_dropped_with_its_payload() {
+        for behind in [0, 5000] {
+            let mut bytes = frame(id::LOOP, &[&[0; 10][..], &motion(), &vec![0; behind]].concat());
+            *bytes.last_mut().unwrap() ^= 1;
+            bytes.extend(frame(id::GET_SYSTEM_INFO, &[]));
+            let found = requests(ChecksumEvaluation::On, &bytes, 1000);
+            let next = (id::GET_SYSTEM_INFO, Ok(Command::GetSystemInfo));
+            assert_eq!(found, [(id::LOOP, Err(Unusable::Checksum)), next]);
+        }
+    }
+
+    /// A client that pauses in a frame may send its rest later.
+    #[test]
+    fn request_given_up_is_dropped_with_its_payload() {
+        for evaluation in [ChecksumEvaluation::On, ChecksumEvaluation::Off] {
+            let bytes = frame(id::LOOP, &[&[0; 10][..], &motion(), &[0; 9], &motion(), &[0; 200]].concat());
+            let mut input = PortInput::new(evaluation);
+            let begin = Instant::now();
+            input.push(begin, &bytes[..40]);
+            assert_eq!(all(&mut input), []);
+            assert_eq!(input.deadline(), Some(begin + FRAME_WITHIN));
+            input.handle_timeout(begin + FRAME_WITHIN);
+            assert_eq!((all(&mut input), input.deadline()), (vec![], None));
+            input.push(begin + FRAME_WITHIN, &bytes[40..]);
+            assert_eq!(all(&mut input), [], "the rest does not begin with a preamble");
+            input.push(begin + FRAME_WITHIN + RESYNC_PAUSE, &frame(id::GET_SYSTEM_INFO, &[]));
+            assert_eq!(all(&mut input), [(id::GET_SYSTEM_INFO, Ok(Command::GetSystemInfo))]);
+        }
+    }
+
+    #[test]
+    fn damaged_size_hides_no_fast_stop_for_long() {
+        let fast_stop = (id::FAST_STOP, Ok(Command::FastStop));
+        for id in [id::DISCONNECT_ANNOUNCEMENT, id::GET_SYSTEM_STATE, 0xB5] {
+            let mut input = PortInput::new(ChecksumEvaluation::On);
+            let begin = Instant::now();
+            input.push(begin, &[0xAA, 0xAA, 0xAA, id, 0xFF, 0xFF]);
+            let until = begin + FRAME_WITHIN;
+            // Further requests do not extend the time.
+            for n in 1..=5 {
+                input.push(begin + n * FRAME_WITHIN / 6, &[frame(id::FAST_STOP, &[]), motion()].concat());
+                assert_eq!(all(&mut input), []);
+                assert_eq!(input.deadline(), Some(until));
+            }
+            input.handle_timeout(until);
+            assert_eq!(all(&mut input), slice(&fast_stop), "one for all");
+            assert_eq!(input.deadline(), None);
+            input.push(until, &frame(id::FAST_STOP, &[]));
+            assert_eq!(all(&mut input), slice(&fast_stop), "without a pause, too");
+        }
+    }
+
+    fn slice<T>(one: &T) -> &[T] {
+        std::slice::from_ref(one)
     }
 
     #[test]
     fn garbage_is_bounded() {
         let mut input = PortInput::new(ChecksumEvaluation::On);
-        let header = [0xAA, 0xAA, 0xAA, 0xB5, 0x00, 0x10];
-        input.push(Instant::now(), &header.repeat(4000));
+        let damaged = [0xAA, 0xAA, 0xAA, 0xB5, 0, 0, 0, 0];
+        input.push(Instant::now(), &damaged.repeat(4000));
         let damaged = std::iter::from_fn(|| input.next()).count();
         assert_eq!(damaged, MAX_DAMAGED as usize);
         assert!(input.is_garbage());

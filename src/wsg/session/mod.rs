@@ -35,8 +35,10 @@ mod slots;
 use std::collections::{BTreeSet, VecDeque};
 use std::time::{Duration, Instant};
 
-use super::frame::{self, ChecksumEvaluation, Decoder, DecoderCounters};
+use super::decoder::{Decoder, DecoderCounters};
+use super::frame::{self, ChecksumEvaluation};
 use super::reply::{Data, InvalidReply, Reply};
+use super::timed_decoder::{RESYNC_PAUSE, TimedDecoder};
 use super::{Command, Status, id};
 use barrier::Barrier;
 pub use config::{MAX_LINE_TIME_WHILE_MOVING, SessionConfig};
@@ -67,6 +69,9 @@ pub const PROBE_AFTER: Duration = Duration::from_millis(500);
 
 /// The same while the fingers may move on one of the slowest lines: longer than the period of its updates.
 const LONG_PROBE_AFTER: Duration = Duration::from_millis(1250);
+
+/// Silence on a slow line, in bytes, that counts as a pause.
+const PAUSE_BYTES: usize = 2;
 
 /// Payload size of the longest automatic update: a status and four bytes.
 const LONGEST_UPDATE_BYTES: usize = 6;
@@ -176,7 +181,7 @@ pub struct Counters {
 #[derive(Debug)]
 pub struct Session {
     config: SessionConfig,
-    decoder: Decoder,
+    decoder: TimedDecoder,
     lanes: Lanes,
     slots: Slots,
     barrier: Barrier,
@@ -194,8 +199,6 @@ pub struct Session {
     next_token: u64,
     moving: bool,
     last_heard: Instant,
-    /// Stream position of an incomplete frame, and the time since which it is incomplete.
-    partial: Option<(u64, Instant)>,
 }
 
 impl Session {
@@ -203,9 +206,12 @@ impl Session {
     #[must_use]
     pub fn new(config: SessionConfig, now: Instant) -> Self {
         let barrier = Barrier::new(config.nonce_seed);
+        let decoder = Decoder::new(id::max_reply_bytes, ChecksumEvaluation::On);
+        let frame_within = config.line_time(frame::OVERHEAD_BYTES + id::MAX_LOOP_BYTES) + config.frame_gap;
+        let resync_pause = RESYNC_PAUSE.max(config.line_time(PAUSE_BYTES));
         Self {
             config,
-            decoder: Decoder::new(id::max_reply_bytes, ChecksumEvaluation::On),
+            decoder: TimedDecoder::new(decoder, frame_within, resync_pause).with_limited_loss(),
             lanes: Lanes::default(),
             slots: Slots::default(),
             barrier,
@@ -219,7 +225,6 @@ impl Session {
             next_token: 0,
             moving: false,
             last_heard: now,
-            partial: None,
         }
     }
 
@@ -259,20 +264,19 @@ impl Session {
 
     /// Processes bytes received from the link.
     pub fn receive(&mut self, now: Instant, bytes: &[u8]) {
-        self.decoder.push(bytes);
+        self.decoder.push(now, bytes);
         self.decode(now);
-        if self.partial.is_some() {
-            // An incomplete frame on a slow line is a sign of life; `partial_deadline` bounds its duration.
+        if self.decoder.is_partial() {
+            // An incomplete frame on a slow line is a sign of life; the decoder bounds its duration.
             self.last_heard = now;
         }
     }
 
     /// Processes expired deadlines. Call it at the time given by [`Session::poll_timeout`].
     pub fn handle_timeout(&mut self, now: Instant) {
-        if self.partial_deadline().is_some_and(|deadline| deadline <= now) {
-            self.decoder.give_up_partial();
-            self.decode(now);
-        }
+        self.expect_opaque_replies();
+        self.decoder.handle_timeout(now);
+        self.decode(now);
         self.barrier.handle_timeout(now);
         while let Some(expired) = self.lanes.pop_expired(now) {
             self.counters.time_outs += 1;
@@ -346,7 +350,7 @@ impl Session {
         let (waiting, script) = (self.lanes.next_deadline(), self.slots.script_deadline());
         let (barrier, duplicate) = (self.barrier.deadline(), self.slots.duplicate_deadline());
         let echo = if self.barrier.is_deaf() { self.slots.echo_deadline() } else { None };
-        let deadlines = [in_flight, waiting, script, duplicate, barrier, self.partial_deadline(), probe, echo];
+        let deadlines = [in_flight, waiting, script, duplicate, barrier, self.decoder.deadline(), probe, echo];
         deadlines.into_iter().flatten().min()
     }
 
@@ -513,12 +517,6 @@ impl Session {
                 *closed = Closed::until_echo(now, self.barrier.want());
             }
         }
-    }
-
-    fn partial_deadline(&self) -> Option<Instant> {
-        let (_, since) = self.partial?;
-        let line_time = self.config.line_time(frame::OVERHEAD_BYTES + id::MAX_LOOP_BYTES);
-        Some(since + line_time + self.config.frame_gap)
     }
 }
 

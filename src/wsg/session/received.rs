@@ -5,7 +5,8 @@ use std::time::Instant;
 use super::barrier::Echo;
 use super::slots::{Closed, SlotState, Verdict};
 use super::{DUPLICATE_WITHIN, End, NoValue, Session, SessionEvent};
-use crate::wsg::frame::{Decoded, Frame, HEADER_BYTES, OVERHEAD_BYTES};
+use crate::wsg::decoder::Decoded;
+use crate::wsg::frame::{Frame, HEADER_BYTES, OVERHEAD_BYTES};
 use crate::wsg::reply::{Data, InvalidReply, Reply};
 use crate::wsg::{Status, SystemState, id};
 
@@ -21,27 +22,37 @@ fn is_echo(written: &[u8], frame: Frame<'_>) -> bool {
 
 impl Session {
     pub(super) fn decode(&mut self, now: Instant) {
-        while let Some(decoded) = self.decoder.next() {
-            let Decoded::Frame(frame) = decoded else { continue };
-            let id = frame.id;
-            let reply = Reply::parse(id, frame.payload);
-            if reply.is_err() && is_echo(&self.last_written, frame) {
-                self.counters.echoes += 1;
-                continue;
-            }
+        loop {
+            self.expect_opaque_replies();
+            let Some(decoded) = self.decoder.next() else { return };
+            let (id, reply) = match decoded {
+                Decoded::Frame(frame) => {
+                    let reply = Reply::parse(frame.id, frame.payload);
+                    if reply.is_err() && is_echo(&self.last_written, frame) {
+                        self.counters.echoes += 1;
+                        continue;
+                    }
+                    let bytes = frame.payload.len();
+                    if id::is_longer_than_its_manual(frame.id, bytes) && self.long_replies.insert(frame.id) {
+                        self.events.push_back(SessionEvent::LongReply(frame.id, bytes));
+                    }
+                    (frame.id, reply)
+                }
+                Decoded::TooLong { id, payload_bytes } => (id, Err(InvalidReply::Size { id, bytes: payload_bytes })),
+                Decoded::Damaged { .. } | Decoded::MissedFastStop => continue,
+            };
             self.last_heard = now;
-            if id::is_longer_than_its_manual(id, frame.payload.len()) && self.long_replies.insert(id) {
-                self.events.push_back(SessionEvent::LongReply(id, frame.payload.len()));
-            }
             match reply {
                 Ok(reply) => self.take_reply(now, id, reply),
                 Err(invalid) => self.take_invalid(now, id, invalid),
             }
         }
-        self.partial = self.decoder.is_partial().then(|| match self.partial {
-            Some((position, since)) if position == self.decoder.position() => (position, since),
-            _ => (self.decoder.position(), now),
-        });
+    }
+
+    /// Tells the decoder which replies can contain frames. A header of such an id is damage unless its reply is
+    /// expected.
+    pub(super) fn expect_opaque_replies(&mut self) {
+        self.decoder.expect_opaque(self.slots.ids().filter(|id| id::has_opaque_replies(*id)));
     }
 
     fn take_reply(&mut self, now: Instant, id: u8, reply: Reply) {

@@ -118,6 +118,11 @@ impl Slots {
         stops.clone().count() < MAX_STOPS_IN_FLIGHT && stops.all(|(_, stop)| Some(stop.order) < start)
     }
 
+    /// Ids whose replies can arrive.
+    pub(super) fn ids(&self) -> impl Iterator<Item = u8> {
+        self.0.iter().map(|slot| slot.id)
+    }
+
     /// Whether the end of a motion is not known.
     pub(super) fn has_motion(&self) -> bool {
         self.0.iter().any(|slot| id::is_motion(slot.id))

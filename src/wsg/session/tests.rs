@@ -1,4 +1,5 @@
 mod late;
+mod opaque;
 
 use super::*;
 use crate::wsg::reply::{Data, Reply};

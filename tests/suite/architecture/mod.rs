@@ -34,7 +34,7 @@ const ROOMS: &str = "
         gripper gripper/model journal recipes trends
     interfaces/modbus: interfaces gripper gripper/model operations wsg
     interfaces/websocket: access interfaces events gripper gripper/model operations
-    interfaces/wsg_port: access interfaces gripper gripper/model operations wsg wsg/crc wsg/frame
+    interfaces/wsg_port: access interfaces gripper gripper/model operations wsg wsg/frame
     interfaces/zenoh: access interfaces events fleet gripper gripper/model journal operations
     events: alarms fleet gripper gripper/model journal
     fleet: gripper gripper/model
@@ -52,7 +52,7 @@ const ROOMS: &str = "
     trends: gripper gripper/model
     wear: gripper gripper/model gripper/recorder journal
     webhooks: gripper gripper/model gripper/recorder journal
-    wsg: wsg/frame
+    wsg: wsg/crc wsg/frame
     wsg/crc:
     wsg/frame: wsg/crc
     wsg/session: wsg wsg/frame

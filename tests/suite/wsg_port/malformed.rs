@@ -3,10 +3,15 @@
 use std::time::Duration;
 
 use super::{
-    ACCESS_DENIED, ALREADY_RUNNING, CHECKSUM_ERROR, Cell, FORMAT_ERROR, MOVE, NOT_INITIALIZED, RANGE_ERROR, SUCCESS,
+    ACCESS_DENIED, ALREADY_RUNNING, CHECKSUM_ERROR, Cell, FORMAT_ERROR, MOVE, NOT_INITIALIZED, OVERRUN, RANGE_ERROR,
+    SUCCESS,
 };
 use crate::harness::Simulator;
 use crate::harness::wsg::{Driver, PENDING, floats, move_to, request};
+
+/// Flags of 40h.
+const MOVING: u32 = 1 << 1;
+const FAST_STOP: u32 = 1 << 12;
 
 #[tokio::test]
 async fn malformed_requests_get_the_devices_replies() {
@@ -63,17 +68,48 @@ async fn damaged_frames_do_not_affect_the_next_request() {
     driver.send_raw(&damaged).await;
     let reply = driver.next().await;
     assert_eq!((reply.id, reply.status), (0x50, CHECKSUM_ERROR));
-    let oversized = [0xAA, 0xAA, 0xAA, 0x40, 0xFF, 0xFF];
-    for garbage in [&b"GET / HTTP/1.1\r\n\r\n"[..], &[0xAA; 7], &[0x00, 0xAA, 0xAA, 0x20], &oversized] {
+    assert_eq!(driver.status(0x50, &[]).await, SUCCESS);
+    for garbage in [&b"GET / HTTP/1.1\r\n\r\n"[..], &[0xAA; 7], &[0x00, 0xAA, 0xAA, 0x20]] {
         driver.send_raw(&[garbage, &request(0x50, &[])].concat()).await;
         let reply = driver.next().await;
         assert_eq!((reply.id, reply.status), (0x50, SUCCESS), "{garbage:x?}");
     }
-    // Half a frame followed by silence is dropped.
-    driver.send_raw(&request(MOVE, &move_to(10.0, 10.0))[..9]).await;
-    assert_eq!(driver.next_within(Duration::from_millis(700)).await, None);
-    assert_eq!(driver.status(0x50, &[]).await, SUCCESS);
+    // Half a frame followed by silence is dropped, and so is an impossible size.
+    for half in [&request(MOVE, &move_to(10.0, 10.0))[..9], &[0xAA, 0xAA, 0xAA, 0x40, 0xFF, 0xFF]] {
+        driver.send_raw(half).await;
+        assert_eq!(driver.next_within(Duration::from_millis(700)).await, None);
+        assert_eq!(driver.status(0x50, &[]).await, SUCCESS);
+    }
     assert_eq!(cell.proxy.frames.motions(), 0);
+}
+
+/// The port and the device consume a frame of any size whole. Nothing in its payload is executed.
+#[tokio::test]
+async fn payload_is_not_executed_whatever_its_size() {
+    let cell = Cell::homed().await;
+    let device = Simulator::start(&[]).await;
+    let (mut port, mut device) = (cell.driver().await, Driver::connect(device.address).await);
+    assert_eq!(device.run(0x20, &[0]).await, SUCCESS);
+    let motions = cell.proxy.frames.motions();
+    for inside in [request(MOVE, &move_to(50.0, 50.0)), request(0x23, &[])] {
+        let payload = [vec![0; 10], inside, vec![0; 5000]].concat();
+        for (id, status) in [(0x06, FORMAT_ERROR), (0x51, OVERRUN)] {
+            assert_eq!(port.status(id, &payload).await, status);
+            assert_eq!(device.status(id, &payload).await, status);
+        }
+    }
+    // With a wrong checksum, too.
+    let mut damaged = request(0x06, &[vec![0; 10], request(MOVE, &move_to(50.0, 50.0)), vec![0; 99]].concat());
+    *damaged.last_mut().unwrap() ^= 1;
+    for driver in [&mut port, &mut device] {
+        driver.send_raw(&damaged).await;
+    }
+    assert_eq!(port.next().await.status, CHECKSUM_ERROR);
+    for driver in [&mut port, &mut device] {
+        let flags = driver.flags().await;
+        assert_eq!(flags & (MOVING | FAST_STOP), 0, "{flags:x}");
+    }
+    assert_eq!((cell.proxy.frames.motions(), cell.proxy.frames.count(0x23)), (motions, 0));
 }
 
 #[tokio::test]
@@ -134,7 +170,7 @@ async fn too_many_requests_are_an_overrun() {
     for _ in 0..100 {
         match driver.next().await.status {
             SUCCESS => statuses[0] += 1,
-            27 => statuses[1] += 1,
+            OVERRUN => statuses[1] += 1,
             other => panic!("{other}"),
         }
     }

@@ -26,6 +26,7 @@ const ACCESS_DENIED: u16 = 16;
 const CMD_FAILED: u16 = 18;
 const ABORTED: u16 = 19;
 const IO_ERROR: u16 = 23;
+const OVERRUN: u16 = 27;
 const RANGE_ERROR: u16 = 28;
 
 const MOVE: u8 = 0x21;
