@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::wsg::frame;
 use crate::wsg::id;
-use crate::wsg::{Data, Reply};
+use crate::wsg::{Data, Reply, Status};
 
 use super::faults::{FaultKind, FaultName};
 use super::getters::BrokenGetter;
@@ -122,13 +122,9 @@ impl Device {
             Change::Cool => self.thermal.let_go(),
             Change::CurrentFault { on, clears_after_ms } => self.set_current_fault(on, clears_after_ms),
             Change::PowerFault { on } => self.set_power_fault(on),
-            Change::FingerOverCurrent { finger, on } => {
-                let port = self.finger(finger);
-                port.set_over_current(on);
-                self.count_if(on, FaultName::FingerFault);
-            }
+            Change::FingerOverCurrent { finger, on } => self.set_finger_over_current(finger_index(finger), on),
             Change::FingerCommunicationFault { finger, on } => {
-                self.finger(finger).communication_fault = on;
+                self.fingers[finger_index(finger)].communication_fault = on;
                 self.count_if(on, FaultName::FingerFault);
             }
             Change::MoveBySomebody { width_mm, speed_mm_s } => self.foreign_motion(width_mm, speed_mm_s),
@@ -206,6 +202,15 @@ impl Device {
         }
     }
 
+    /// An over-current switches the finger off, and ends a request that powers it up (`fw4-en 3.6.3`).
+    fn set_finger_over_current(&mut self, index: usize, on: bool) {
+        self.fingers[index].set_over_current(on);
+        self.count_if(on, FaultName::FingerFault);
+        if on && let Some(ticket) = self.finger_tickets[index].take() {
+            self.result_status(ticket, Status::E_CMD_FAILED);
+        }
+    }
+
     fn set_script(&mut self, runs: bool) {
         let fails = self.script_runs && !runs;
         self.count_if(fails, FaultName::ScriptFailure);
@@ -264,15 +269,15 @@ impl Device {
         }
     }
 
-    fn finger(&mut self, number: u8) -> &mut super::fingers::FingerPort {
-        &mut self.fingers[usize::from(number == 2)]
-    }
-
     pub(super) fn count_if(&mut self, happened: bool, name: FaultName) {
         if happened {
             self.faults.counts.add(name);
         }
     }
+}
+
+fn finger_index(number: u8) -> usize {
+    usize::from(number == 2)
 }
 
 #[cfg(test)]

@@ -101,7 +101,7 @@ impl Device {
             }
             _ => {}
         }
-        self.mechanics.set_grip_force(self.settings.force_limit_n);
+        self.mechanics.set_force_limit(self.settings.force_limit_n, !self.config.is_fw4());
         Status::E_SUCCESS
     }
 

@@ -164,6 +164,24 @@ fn tare_needs_a_sensor_and_zeroes_it() {
 }
 
 #[test]
+fn over_current_while_powering_up_ends_the_request() {
+    let mut bench = Bench::new(DeviceConfig::wsg50());
+    let (on, off) = (
+        Command::FingerPower { finger: Finger::Two, on: true },
+        Command::FingerPower { finger: Finger::Two, on: false },
+    );
+    bench.reply(&off);
+    assert_eq!(bench.reply(&on), PENDING);
+    bench.pass(ms(100));
+    bench.apply(crate::sim::Change::FingerOverCurrent { finger: 2, on: true });
+    assert_eq!(bench.frames(), [(id::FINGER_2_POWER, status(Status::E_CMD_FAILED))]);
+    assert_eq!(bench.pass(ms(1000)), [], "once");
+    assert_eq!(bench.reply(&on), status(Status::E_CMD_FAILED));
+    bench.apply(crate::sim::Change::FingerOverCurrent { finger: 2, on: false });
+    assert_eq!(bench.run(&on), [PENDING, DONE]);
+}
+
+#[test]
 fn ruling_finger_info_has_its_size_at_bytes_1_and_2() {
     let fingers = [FingerConfig::Fmf, FingerConfig::Dsa { frame: vec![7; 84] }];
     let mut bench = Bench::new(DeviceConfig { fingers, ..DeviceConfig::wsg50() });

@@ -39,7 +39,10 @@ impl FingerPort {
 
     pub fn set_over_current(&mut self, on: bool) {
         self.over_current = on;
-        self.powered &= !on;
+        if on {
+            self.powered = false;
+            self.powered_up_at = None;
+        }
     }
 
     pub fn info(&self) -> FingerInfo {

@@ -1,6 +1,6 @@
 use crate::sim::testing::*;
 use crate::sim::{Change, DeviceConfig, FingerConfig, Model, Part};
-use crate::wsg::{Command, Force, GripperState, Status, SystemState, id};
+use crate::wsg::{Command, Force, GripperState, HomingDirection, Status, SystemState, id};
 
 /// Creates a homed device with a part between its jaws.
 fn with_part(config: DeviceConfig, part: Part) -> Bench {
@@ -181,6 +181,15 @@ fn regrip_is_allowed_in_same_direction_only() {
     assert_eq!(bench.reply(&grip(60.0, 100.0)), status(Status::E_ALREADY_RUNNING), "in the opposite direction");
     bench.run(&release(40.0, 100.0));
     assert_eq!(bench.run(&grip(60.0, 100.0)), [PENDING, status(Status::E_CMD_FAILED)], "after a release");
+
+    // Any other motion ends the gripping process, too.
+    for between in [move_to(40.0, 100.0), Command::Homing(HomingDirection::Inner)] {
+        let mut bench = Bench::homed(DeviceConfig::wsg50());
+        bench.run(&grip(50.0, 100.0));
+        assert_eq!(bench.reply(&grip(60.0, 100.0)), status(Status::E_ALREADY_RUNNING));
+        assert_eq!(bench.run(&between), [PENDING, DONE]);
+        assert_eq!(bench.run(&grip(60.0, 100.0)), [PENDING, status(Status::E_CMD_FAILED)], "{between:?}");
+    }
 
     let mut bench = holding(DeviceConfig::wsg50().fw2());
     assert_eq!(bench.run(&grip(60.0, 100.0)).len(), 2, "fw2 does not have this rule");

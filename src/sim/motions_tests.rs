@@ -1,6 +1,6 @@
 use crate::sim::testing::*;
 use crate::sim::{AxisDirection, Change, DeviceConfig, Model};
-use crate::wsg::{Command, Data, GripperState, HomingDirection, Reply, SoftLimits, Status, SystemState, id};
+use crate::wsg::{Command, Data, Force, GripperState, HomingDirection, Reply, SoftLimits, Status, SystemState, id};
 
 fn limits(minus: f32, plus: f32) -> Command {
     Command::SetSoftLimits(SoftLimits::new(width(minus), width(plus)).unwrap())
@@ -191,8 +191,24 @@ fn clamp_on_block_presses_and_snaps_to_target_when_freed() {
         bench.pass(ms(50));
         assert!(bench.has(SystemState::MOVING) && !bench.has(SystemState::BLOCKED_MINUS));
         assert_eq!(bench.reply(&move_to(50.0, 50.0)), status(Status::E_ALREADY_RUNNING));
+        assert!(!bench.has(SystemState::TARGET_POS_REACHED));
         assert_eq!(bench.pass(ms(1000)), []);
-        assert!(near(bench.snapshot().width_mm, 20.0));
+        assert!(near(bench.snapshot().width_mm, 20.0) && bench.has(SystemState::TARGET_POS_REACHED));
+    }
+}
+
+/// fw2 limits pre-positioning with the force limit, fw4 with half of the nominal force (fw2 3.3.3, `fw4-en 3.2.2`).
+#[test]
+fn force_limit_changes_the_clamping_force_in_fw2_only() {
+    for (config, force_n) in [(DeviceConfig::wsg50(), 40.0), (DeviceConfig::wsg50().fw2(), 60.0)] {
+        let mut bench = Bench::homed(DeviceConfig { force_limit_n: 40.0, ..config });
+        bench.apply(Change::PlaceObstacle { width_mm: 40.0 });
+        bench.run(&clamp_to(20.0, 100.0));
+        assert!(near(bench.snapshot().force_n, 40.0));
+        bench.reply(&Command::SetForceLimit(Force::new(60.0).unwrap()));
+        bench.pass(ms(500));
+        assert!(near(bench.snapshot().force_n, force_n), "{}", bench.snapshot().force_n);
+        assert!(bench.has(SystemState::BLOCKED_MINUS));
     }
 }
 
@@ -216,6 +232,7 @@ fn target_pos_reached_follows_end_of_moving() {
     assert!(reached(DeviceConfig::wsg50().fw2()));
 }
 
+#[test]
 #[test]
 fn ruling_a_target_outside_the_soft_limits_is_refused_whichever_way_it_is_reached() {
     let mut bench = Bench::homed(DeviceConfig::wsg50());

@@ -26,7 +26,7 @@ pub(super) struct Process {
     pub target_reached: bool,
     /// Time at which TARGET_POS_REACHED follows.
     pub target_reached_at: Option<Instant>,
-    /// Direction of the last grip, until a release.
+    /// Direction of the last grip, until another motion.
     gripped: Option<AxisDirection>,
     is_fw4: bool,
 }
@@ -50,7 +50,8 @@ impl Process {
     }
 
     /// Whether a grip in `direction` needs a release first, after a grip in the opposite direction (`fw4-en 3.2.6`, not
-    /// in fw2).
+    /// in fw2). Ruling: "a subsequent grip command" is the next motion. Homing and pre-positioning end the gripping
+    /// process, too (`fw4-en 3.4.2`), so that the ban ends.
     pub fn forbids_grip(&self, direction: AxisDirection) -> bool {
         self.is_fw4 && self.gripped == Some(direction.opposite())
     }
@@ -65,8 +66,7 @@ impl Process {
                 // Ruling: a grip counts once it is executed, whatever its result (42h).
                 self.statistics.total = self.statistics.total.saturating_add(1);
             }
-            MotionKind::Release => self.gripped = None,
-            MotionKind::Home | MotionKind::Move => {}
+            MotionKind::Release | MotionKind::Home | MotionKind::Move => self.gripped = None,
         }
         self.state = match kind {
             MotionKind::Grip(_) => GripperState::Grasping,
@@ -98,9 +98,14 @@ impl Process {
             MotionKind::Move | MotionKind::Grip(_) => true,
         };
         if success && has_target {
-            self.target_reached = !self.is_fw4;
-            self.target_reached_at = self.is_fw4.then(|| now + TARGET_REACHED_DELAY);
+            self.reached_target(now);
         }
+    }
+
+    /// Sets TARGET_POS_REACHED, in fw4 after a delay. The gripper state stays: it tells how the motion ended.
+    pub fn reached_target(&mut self, now: Instant) {
+        self.target_reached = !self.is_fw4;
+        self.target_reached_at = self.is_fw4.then(|| now + TARGET_REACHED_DELAY);
     }
 
     pub fn part_lost(&mut self) {

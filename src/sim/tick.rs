@@ -109,6 +109,7 @@ impl Device {
             Some(StepOutcome::Stopped) => self.stopped(Status::E_SUCCESS),
             Some(StepOutcome::StopTimedOut) => self.stopped(Status::E_TIMEOUT),
             Some(StepOutcome::PartLost) => self.process.part_lost(),
+            Some(StepOutcome::SnappedToTarget) => self.process.reached_target(self.clock),
             Some(StepOutcome::ForbiddenRange) => self.left_soft_limits(),
         }
     }

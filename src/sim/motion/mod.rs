@@ -41,6 +41,8 @@ pub(super) enum StepOutcome {
     StopTimedOut,
     /// The held part is gone.
     PartLost,
+    /// The block of a clamped motion is gone, and the fingers are at the target.
+    SnappedToTarget,
     /// The fingers leave the soft limits.
     ForbiddenRange,
 }
@@ -239,12 +241,14 @@ impl Mechanics {
         }
     }
 
-    /// Applies a new force limit to a held part.
-    pub fn set_grip_force(&mut self, force_limit_n: f64) {
-        if let Activity::Hold(hold) = &mut self.activity {
-            hold.set_force_limit(force_limit_n);
-            self.steady = false;
+    /// Applies a new force limit to a held part, and in fw2 also to a block that is clamped (fw2 3.3.3).
+    pub fn set_force_limit(&mut self, force_limit_n: f64, limits_clamping: bool) {
+        match &mut self.activity {
+            Activity::Hold(hold) => hold.set_force_limit(force_limit_n),
+            Activity::Clamp { drive } if limits_clamping => drive.force_limit_n = force_limit_n,
+            _ => return,
         }
+        self.steady = false;
     }
 
     pub fn step(&mut self, soft_limits: Option<SoftLimits>) -> Option<StepOutcome> {
@@ -325,6 +329,7 @@ impl Mechanics {
                 self.blocked = if let Progress::Pressing(direction) = progress { Some(direction) } else { None };
                 if progress == Progress::Reached {
                     self.activity = Activity::Rest;
+                    return Some(StepOutcome::SnappedToTarget);
                 }
                 None
             }
