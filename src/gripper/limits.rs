@@ -1,6 +1,6 @@
 //! Limits of values, checked before a frame is sent. Values beyond the device's limits are refused, though the device
-//! itself would clamp them, and so are targets that the soft limits forbid. Until the device has reported its limits,
-//! the limits of the whole gripper family apply.
+//! itself would clamp them, and so are targets that the soft limits forbid. Fingers outside the soft limits may move
+//! towards them. Until the device has reported its limits, the limits of the whole gripper family apply.
 
 use super::error::Invalid;
 use super::model::Motion;
@@ -35,11 +35,11 @@ impl Limits {
                 self.check_speed(speed.mm_s())
             }
             Motion::Move { width: target, speed, .. } | Motion::Release { width: target, speed } => {
-                self.check_target(target)?;
+                self.check_target(target, width)?;
                 self.check_speed(speed.mm_s())
             }
             Motion::Grip { width: target, speed, force, .. } => {
-                self.check_target(target)?;
+                self.check_target(target, width)?;
                 self.check_speed(speed.mm_s())?;
                 force.map_or(Ok(()), |force| self.check_force(force))
             }
@@ -106,17 +106,18 @@ impl Limits {
         self.system.map_or((0.0, WIDEST_MM, ANY_DEVICE), |system| (0.0, system.stroke.mm(), DEVICE))
     }
 
-    /// Widths at which a motion may end, and the source of these limits.
-    fn targets(&self) -> Range {
+    /// Widths at which a motion from `width` may end, and the source of these limits. Outside the soft limits, fingers
+    /// may move towards them (see [`SoftLimits::allow_from`]).
+    fn targets(&self, width: Option<f32>) -> Range {
         let (min, max, limit) = self.widths();
-        match self.soft {
-            Some(soft) => (soft.minus().mm().max(min), soft.plus().mm().min(max), SOFT),
-            None => (min, max, limit),
-        }
+        let Some(soft) = self.soft else { return (min, max, limit) };
+        let minus = width.map_or(soft.minus().mm(), |width| soft.minus().mm().min(width));
+        let plus = width.map_or(soft.plus().mm(), |width| soft.plus().mm().max(width));
+        (minus.max(min), plus.min(max), SOFT)
     }
 
-    fn check_target(&self, target: Width) -> Result<(), Invalid> {
-        in_range("width_mm", target.mm(), self.targets())
+    fn check_target(&self, target: Width, width: Option<f32>) -> Result<(), Invalid> {
+        in_range("width_mm", target.mm(), self.targets(width))
     }
 
     fn check_offset(&self, offset: Width, width: Option<f32>) -> Result<(), Invalid> {
@@ -124,7 +125,7 @@ impl Limits {
         let Some(width) = width else {
             return in_range("width_mm", offset.mm(), (-widest, widest, limit));
         };
-        let (min, max, limit) = self.targets();
+        let (min, max, limit) = self.targets(Some(width));
         // At an end stop the measured width can be slightly beyond the stroke.
         let width = width.clamp(0.0, widest.max(0.0));
         in_range("width_mm", offset.mm(), (min - width, max - width, limit))
@@ -244,11 +245,25 @@ mod tests {
         let soft = SoftLimits::new(width(10.0), width(60.0));
         let limits = Limits { soft, ..limits() };
         assert_eq!(field(&limits.check_motion(&grip(9.0, 50.0, None), None)), Some(("width_mm", 10.0, 60.0)));
+        assert_eq!(field(&limits.check_motion(&grip(9.0, 50.0, None), Some(30.0))), Some(("width_mm", 10.0, 60.0)));
         assert_eq!(
             limits.check_motion(&Motion::Home(crate::wsg::HomingDirection::Default), None),
             Ok(()),
             "homing ignores them"
         );
+    }
+
+    #[test]
+    fn fingers_outside_soft_limits_may_move_towards_them() {
+        let soft = SoftLimits::new(width(20.0), width(50.0));
+        let limits = Limits { soft, ..limits() };
+        let flags = MoveFlags { relative: true, stop_on_block: true };
+        let by = |mm| Motion::Move { flags, width: width(mm), speed: speed(50.0) };
+        assert_eq!(limits.check_motion(&grip(60.0, 50.0, None), Some(70.0)), Ok(()));
+        assert_eq!(limits.check_motion(&by(-10.0), Some(70.0)), Ok(()));
+        assert_eq!(field(&limits.check_motion(&grip(71.0, 50.0, None), Some(70.0))), Some(("width_mm", 20.0, 70.0)));
+        assert_eq!(field(&limits.check_motion(&by(1.0), Some(70.0))), Some(("width_mm", -50.0, 0.0)));
+        assert_eq!(field(&limits.check_motion(&grip(9.0, 50.0, None), Some(10.0))), Some(("width_mm", 10.0, 50.0)));
     }
 
     #[test]

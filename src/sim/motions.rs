@@ -76,12 +76,12 @@ impl Device {
     }
 
     /// Clamps a target to the physical limits (`fw4-en 3.2.2`). Ruling: a target outside the soft limits is a range
-    /// error.
+    /// error, unless the fingers move towards the limits.
     fn allowed_target(&self, width_mm: f64) -> Result<f64, Status> {
         let width_mm = self.config.clamp_width_mm(width_mm);
         let target = Width::new(width_mm as f32).unwrap_or(Width::ZERO);
         match self.settings.soft_limits {
-            Some(limits) if !limits.allow(target) => Err(Status::E_RANGE_ERROR),
+            Some(limits) if !limits.allow_from(self.mechanics.width_mm() as f32, target) => Err(Status::E_RANGE_ERROR),
             _ => Ok(width_mm),
         }
     }

@@ -148,7 +148,7 @@ fn checks_follow_the_manuals_order() {
     assert_eq!(bench.reply(&grip(20.0, 50.0)), status(Status::E_NOT_INITIALIZED));
     bench.home();
     bench.reply(&limits(10.0, 60.0));
-    for command in [move_to(9.0, 50.0), grip(9.0, 50.0), release(61.0, 50.0)] {
+    for command in [move_to(9.0, 50.0), grip(9.0, 50.0), release(110.0, 50.0)] {
         assert_eq!(bench.reply(&command), status(Status::E_RANGE_ERROR));
     }
 }
@@ -233,6 +233,23 @@ fn target_pos_reached_follows_end_of_moving() {
 }
 
 #[test]
+fn ruling_fingers_outside_the_soft_limits_may_move_towards_them() {
+    for (start_mm, out_mm, towards_mm, beyond_mm) in [(70.0, 71.0, 60.0, 19.0), (10.0, 9.0, 15.0, 51.0)] {
+        for config in [DeviceConfig::wsg50(), DeviceConfig::wsg50().fw2()] {
+            let mut bench = Bench::homed(config);
+            bench.run(&move_to(start_mm, 400.0));
+            bench.reply(&limits(20.0, 50.0));
+            assert!(bench.has_any(SystemState::SOFT_LIMIT_MINUS | SystemState::SOFT_LIMIT_PLUS));
+            assert_eq!(bench.reply(&move_to(out_mm, 50.0)), status(Status::E_RANGE_ERROR), "further out");
+            assert_eq!(bench.run(&move_to(towards_mm, 50.0)), [PENDING, DONE]);
+            assert!(!bench.has(SystemState::FAST_STOP));
+            assert_eq!(bench.reply(&move_to(start_mm, 50.0)), status(Status::E_RANGE_ERROR), "and not back");
+            assert_eq!(bench.reply(&move_to(beyond_mm, 50.0)), status(Status::E_RANGE_ERROR), "not beyond");
+            assert_eq!(bench.run(&move_to(30.0, 50.0)), [PENDING, DONE]);
+        }
+    }
+}
+
 #[test]
 fn ruling_a_target_outside_the_soft_limits_is_refused_whichever_way_it_is_reached() {
     let mut bench = Bench::homed(DeviceConfig::wsg50());
@@ -243,6 +260,7 @@ fn ruling_a_target_outside_the_soft_limits_is_refused_whichever_way_it_is_reache
     }
     assert_eq!(bench.run(&move_by(10.0, 50.0)), [PENDING, DONE]);
     assert!(bench.has(SystemState::SOFT_LIMIT_PLUS));
+    assert_eq!(bench.reply(&move_to(60.5, 50.0)), status(Status::E_RANGE_ERROR));
     bench.run(&move_to(20.0, 50.0));
     assert!(bench.has(SystemState::SOFT_LIMIT_MINUS) && !bench.has(SystemState::SOFT_LIMIT_PLUS));
     bench.run(&move_to(40.0, 50.0));

@@ -166,10 +166,14 @@ impl SoftLimits {
         self.plus
     }
 
-    /// Whether `target` is within the limits. Ruling: a target outside is a range error, from either direction.
+    /// Whether a motion from the width `from_mm` to `target` is allowed: it ends within the limits, or, from outside,
+    /// moves towards them.
+    ///
+    /// Ruling: any other target outside is a range error, from either direction. Outside, "finger movement is only
+    /// allowed in the direction out of the restricted area" (`fw4-en 3.3.5`): the direction counts, not the target.
     #[must_use]
-    pub fn allow(self, target: Width) -> bool {
-        (self.minus..=self.plus).contains(&target)
+    pub fn allow_from(self, from_mm: f32, target: Width) -> bool {
+        (self.minus.mm().min(from_mm)..=self.plus.mm().max(from_mm)).contains(&target.mm())
     }
 }
 
@@ -342,8 +346,10 @@ mod tests {
     fn ruling_a_target_outside_the_soft_limits_is_a_range_error() {
         let width = |mm| Width::new(mm).unwrap();
         let limits = SoftLimits::new(width(10.0), width(60.0)).unwrap();
-        assert!(limits.allow(width(10.0)) && limits.allow(width(60.0)));
-        assert!(!limits.allow(width(9.9)) && !limits.allow(width(60.1)));
+        assert!(limits.allow_from(30.0, width(10.0)) && limits.allow_from(30.0, width(60.0)));
+        assert!(!limits.allow_from(30.0, width(9.9)) && !limits.allow_from(30.0, width(60.1)));
+        assert!(limits.allow_from(70.0, width(65.0)) && !limits.allow_from(70.0, width(70.1)));
+        assert!(limits.allow_from(5.0, width(9.0)) && !limits.allow_from(5.0, width(61.0)));
         assert_eq!(SoftLimits::new(width(60.0), width(10.0)), None);
     }
 

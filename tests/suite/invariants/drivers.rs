@@ -384,6 +384,8 @@ fn driver_is_clamped_and_other_clients_are_refused() {
     let limits = SoftLimits::new(width(-5.0), width(60.0)).unwrap();
     let limits_set = sets(&mut world, &one, wsg::Command::SetSoftLimits(limits));
     assert_eq!(limits_set, Ok(Data::SoftLimits(SoftLimits::new(width(0.0), width(60.0)).unwrap())));
+    let inside = moves(&mut world, &one, move_to(50.0, 400.0)).unwrap();
+    finish(&mut world, &inside);
     let forbidden = moves(&mut world, &one, move_to(70.0, 50.0)).unwrap_err();
     assert!(matches!(forbidden, Rejection::Invalid(Invalid::OutOfRange { field: "width_mm", .. })));
 }

@@ -154,7 +154,7 @@ async fn values_are_clamped_and_soft_limits_refuse() {
         assert_eq!(driver.ask(get, &[]).await.data, floats(&[taken]));
     }
     assert_eq!(driver.status(0x34, &floats(&[10.0, 60.0])).await, SUCCESS);
-    assert_eq!(driver.status(MOVE, &move_to(70.0, 100.0)).await, RANGE_ERROR);
+    assert_eq!(driver.status(MOVE, &move_to(5.0, 100.0)).await, RANGE_ERROR);
     assert_eq!(driver.run(MOVE, &move_to(50.0, 100.0)).await, SUCCESS);
     assert_eq!(driver.status(0x36, &[]).await, SUCCESS);
     assert_eq!(driver.status(0x35, &[]).await, 1, "E_NOT_AVAILABLE");
