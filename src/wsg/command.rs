@@ -295,6 +295,13 @@ impl Command {
         self.is_motion() || matches!(self.typed(), Some(Self::FingerPower { on: true, .. }))
     }
 
+    /// Whether the command switches a finger off.
+    #[must_use]
+    pub fn is_power_off(&self) -> bool {
+        let is_power = matches!(self.id(), id::FINGER_1_POWER | id::FINGER_2_POWER);
+        is_power && matches!(self.typed(), Some(Self::FingerPower { on: false, .. }))
+    }
+
     /// Returns the command with its parameters parsed; `None` if they are not valid.
     #[must_use]
     pub fn typed(&self) -> Option<Self> {

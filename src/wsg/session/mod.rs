@@ -9,8 +9,10 @@
 //!
 //! # Guarantees
 //!
-//! - At most one request per id is in flight. Only a Stop or FAST STOP does not wait for an earlier one if a motion, a
-//!   script or an acknowledgement was written between them.
+//! - At most one request per id is in flight, with two exceptions. A Stop or FAST STOP does not wait for an earlier one
+//!   if a motion, a script or an acknowledgement was written between them. Switching a finger off does not wait until
+//!   it has powered up, because that is executed at once (`fw4-en 3.6.3`). Ruling: the replies of this id then come in
+//!   the order of the requests.
 //! - FAST STOP is written before Stop, and Stop before all others. Frames are handed out one by one, so a stop waits at
 //!   most for the frame being written, and for the reply to an earlier stop that stops the same motion.
 //! - No motion or script is written while an earlier Stop waits to be written, because the Stop would stop it. For the
@@ -315,7 +317,9 @@ impl Session {
             let id = command.id();
             let is_after_stop = first_stop.is_some_and(|stop| stop < waiting.token);
             let is_stop = matches!(command, Command::Stop | Command::FastStop);
-            (self.slots.is_open(id) || is_stop && self.slots.admit_another(id, self.newest_start))
+            (self.slots.is_open(id)
+                || is_stop && self.slots.admit_another(id, self.newest_start)
+                || command.is_power_off() && self.slots.is_powering_up(id))
                 && !(loop_busy && id == id::LOOP)
                 && !(is_after_stop && id::is_motion_or_script(id))
                 && !(fast_stop_waits && id == id::ACKNOWLEDGE_FAST_STOP)

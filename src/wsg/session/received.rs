@@ -112,9 +112,11 @@ impl Session {
 
     /// Ends the wait of an id whose request got its last reply.
     fn open_or_await_duplicates(&mut self, now: Instant, id: u8) {
-        let is_deaf = self.barrier.is_deaf();
         // A device without Loop separates nothing: only the time limit for duplicates remains.
-        let may_be_repeated = self.config.may_duplicate || self.repeated.contains(&id) && !is_deaf;
+        let is_deaf = self.barrier.is_deaf();
+        let repeats = self.config.may_duplicate || self.repeated.contains(&id) && !is_deaf;
+        // Behind a power-up, the next reply belongs to the Off that ended it.
+        let may_be_repeated = repeats && !self.slots.has_several(id);
         match self.slots.get_mut(id) {
             Some(slot) if may_be_repeated && !matches!(id, id::STOP | id::FAST_STOP) && !id::has_updates(id) => {
                 let duplicate_until = self.config.may_duplicate.then(|| now + DUPLICATE_WITHIN);

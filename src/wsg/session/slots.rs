@@ -118,6 +118,18 @@ impl Slots {
         stops.clone().count() < MAX_STOPS_IN_FLIGHT && stops.all(|(_, stop)| Some(stop.order) < start)
     }
 
+    /// Whether a finger is powering up by the only request of this id.
+    pub(super) fn is_powering_up(&self, id: u8) -> bool {
+        let mut of_id = self.0.iter().filter(|slot| slot.id == id);
+        let Some(Slot { state: SlotState::InFlight(in_flight), .. }) = of_id.next() else { return false };
+        in_flight.two_step && in_flight.accepted && of_id.next().is_none()
+    }
+
+    /// Whether several requests of this id wait for their replies.
+    pub(super) fn has_several(&self, id: u8) -> bool {
+        self.0.iter().filter(|slot| slot.id == id).count() > 1
+    }
+
     /// Ids whose replies can arrive.
     pub(super) fn ids(&self) -> impl Iterator<Item = u8> {
         self.0.iter().map(|slot| slot.id)
@@ -136,7 +148,7 @@ impl Slots {
         self.0.push(Slot { id, state: SlotState::InFlight(in_flight) });
     }
 
-    /// Ends the oldest request of this id. Only a Stop or FAST STOP can have more than one.
+    /// Ends the oldest request of this id. Only Stops, FAST STOPs and finger power can have more than one.
     pub(super) fn open(&mut self, id: u8) {
         if let Some(index) = self.0.iter().position(|slot| slot.id == id) {
             self.0.remove(index);

@@ -1,3 +1,4 @@
+mod finger_power;
 mod late;
 mod opaque;
 
