@@ -98,12 +98,14 @@ impl Actor {
         Ok(self.enter(now, id, submission))
     }
 
-    /// Checks a motion: first its values, then the state of lease, link and gripper.
+    /// Checks a motion: first the FAST STOP (`fw4-en 3.2.4`) and the lease, then its values, then the state of link and
+    /// gripper.
     fn check_motion(&self, now: Now, motion: &Motion, submission: &Submission) -> Result<(), Rejection> {
         let referenced = self.observed.has(SystemState::REFERENCED);
         let width = self.observed.values.width_mm(now.instant);
-        self.settings.limits(&self.observed).check_motion(motion, width)?;
+        self.check_latch()?;
         self.check_claim(now, &submission.client, submission.lease.as_ref())?;
+        self.settings.limits(&self.observed).check_motion(motion, width)?;
         self.check_link()?;
         self.check_flags(now)?;
         self.check_moving()?;
@@ -122,10 +124,12 @@ impl Actor {
 
     /// Checks that neither a FAST STOP nor a lost setting forbids all motions.
     pub(super) fn check_stopped(&self) -> Result<(), Conflict> {
-        match self.latch.id() {
-            Some(id) => Err(Conflict::FastStop { id }),
-            None => self.settings.check(),
-        }
+        self.check_latch()?;
+        self.settings.check()
+    }
+
+    fn check_latch(&self) -> Result<(), Conflict> {
+        self.latch.id().map_or(Ok(()), |id| Err(Conflict::FastStop { id }))
     }
 
     /// Clamps the values of a submission to the device's limits, as the device would.
@@ -211,10 +215,10 @@ impl Actor {
             let detail = format!("{} cannot be sent this way: {remedy}", super::name_of(command));
             Rejection::from(Invalid::Malformed { field: "id", detail })
         };
-        self.settings.limits(&self.observed).check_setting(command)?;
         if !self.only_reads(command) {
             self.check_claim(now, client, lease)?;
         }
+        self.settings.limits(&self.observed).check_setting(command)?;
         self.check_link()?;
         match command {
             command if command.is_motion() => Err(not_here("use its own operation")),

@@ -7,6 +7,7 @@ mod field_notes;
 mod latch;
 mod link;
 mod malformed;
+mod manual;
 mod replays;
 mod streams;
 mod together;

@@ -177,6 +177,11 @@ async fn remote_gripper_answers_like_a_local_one() {
     assert_eq!(location, far(&format!("/commands/{}", running.text("id"))));
     pair.near.get(&format!("{location}?wait_ms=20000")).await.outcome("SUCCESS");
 
+    for (path, body) in [("/move", json!({"width_mm": 5000, "speed_mm_s": 1})), ("/grip", json!({"width_mm": 1}))] {
+        let over_there = pair.far.post(path.trim_start_matches('/'), &body).await;
+        let here = pair.near.post(&far(path), &body).await;
+        assert_eq!((here.status, &here.body), (over_there.status, &over_there.body), "{path}");
+    }
     let lease = pair.near.post(&far("/lease"), &json!({"holder": "robot", "ttl_ms": 60000})).await;
     let token = lease.text("token");
     let grip = json!({"width_mm": 20, "speed_mm_s": 400});
@@ -186,11 +191,6 @@ async fn remote_gripper_answers_like_a_local_one() {
         |token: &str| pair.near.request("POST", &far("/grip")).header("Wsg-Lease", token.to_owned()).json(&grip);
     pair.near.send(leased("stale")).await.problem(409, "stale_lease");
     pair.near.send(leased(&token)).await.outcome("PART_HELD");
-    for (path, body) in [("/move", json!({"width_mm": 5000, "speed_mm_s": 1})), ("/grip", json!({"width_mm": 1}))] {
-        let over_there = pair.far.post(path.trim_start_matches('/'), &body).await;
-        let here = pair.near.post(&far(path), &body).await;
-        assert_eq!((here.status, &here.body), (over_there.status, &over_there.body), "{path}");
-    }
     for (path, status, code) in [
         ("/api/v1/fleet/nobody/grippers/g/state", 404, "not_found"),
         ("/api/v1/fleet/far/grippers/h/leap", 404, "not_found"),
