@@ -72,7 +72,9 @@ impl fmt::Display for DeviceType {
     }
 }
 
-/// Firmware version in four nibbles (`fw4-en 3.5.1`; fw2 says only "firmware revision").
+/// Firmware version in four nibbles (`fw4-en 3.5.1`). fw2 says only "firmware revision", an integer.
+///
+/// Ruling: a number whose first nibble is 0 is such a revision, since no firmware has the major version 0.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Firmware(pub u16);
 
@@ -86,6 +88,9 @@ impl Firmware {
 
 impl fmt::Display for Firmware {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.major() == 0 {
+            return write!(f, "{}", self.0);
+        }
         let nibble = |shift: u16| (self.0 >> shift) & 0xF;
         write!(f, "{}.{}.{}", nibble(12), nibble(8), nibble(4))?;
         match nibble(0) {
@@ -331,6 +336,11 @@ mod tests {
         assert_eq!(Firmware(0x4020).to_string(), "4.0.2");
         assert_eq!(Firmware(0x2203).to_string(), "2.2.0-rc3");
         assert_eq!(Firmware(0x4020).major(), 4);
+    }
+
+    #[test]
+    fn ruling_revision_of_firmware_2_is_a_number() {
+        assert_eq!(Firmware(220).to_string(), "220");
     }
 
     #[test]
