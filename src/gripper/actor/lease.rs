@@ -171,6 +171,10 @@ impl Actor {
             LossCause::Disconnected | LossCause::Forbidden => now.instant,
         };
         let effect = self.loss_effect(held.terms, last_heard);
+        if effect == LossEffect::Finish {
+            // The motion may go on, also one whose result a lost link has made unknown.
+            self.link.owed_stop.take_if(|stop| stop.lost.is_none());
+        }
         let name = &held.holder.name;
         tracing::warn!(gripper = %self.config.name, holder = %name, %cause, %effect, "lease holder lost");
         self.record_lease(now, LeaseStep::Lost, &held.holder, Some((effect, cause)));
@@ -179,8 +183,6 @@ impl Actor {
             LossEffect::FastStop => self.fast_stop_for_lost(now, &held.holder),
             LossEffect::Stop => self.stop_motion(now, Some(&held.holder)),
             LossEffect::Finish | LossEffect::Keep => {
-                // The motion may go on, also one whose result a lost link has made unknown.
-                self.link.owed_stop.take_if(|stop| stop.lost.is_none());
                 // A motion that was not sent yet does not begin without its holder.
                 self.withdraw_waiting_motion(now);
                 // A motion under way can end with a held part.
