@@ -13,6 +13,7 @@ use rcgen::{CertifiedKey, generate_simple_self_signed};
 
 use super::token;
 use crate::access::{Role, TokenFile};
+use crate::transport::host::{InvalidHost, check_host};
 
 /// Names of the files that `init` writes, in this order.
 const CONFIG: &str = "wsg-gateway.toml";
@@ -44,7 +45,7 @@ pub(super) struct CertificateArgs {
 #[derive(Debug, Args)]
 struct Names {
     /// A name or address that clients use for this host (repeatable) [default: the host's name, localhost and loopback]
-    #[arg(long = "host", value_name = "NAME")]
+    #[arg(long = "host", value_name = "NAME", value_parser = parse_host)]
     hosts: Vec<String>,
 }
 
@@ -88,6 +89,10 @@ pub(super) fn certificate(args: &CertificateArgs, mut output: impl Write) -> any
     let hosts = args.names.all(None);
     certify(&args.directory, &hosts)?;
     Ok(writeln!(output, "wrote {CERTIFICATE} and {KEY} for {}", hosts.join(", "))?)
+}
+
+fn parse_host(text: &str) -> Result<String, InvalidHost> {
+    check_host(text).map(|()| text.to_owned())
 }
 
 impl Names {

@@ -21,6 +21,7 @@ use url::Url;
 
 use crate::config::{Config, Flags};
 use crate::logging::{self, LogFormat};
+use crate::transport::host::parse_web_url;
 use crate::{daemon, interfaces};
 
 /// Lets many clients share Weiss/SCHUNK WSG grippers. Without a subcommand, serves the configured grippers, or two
@@ -89,7 +90,7 @@ enum Command {
         encode: Option<String>,
         /// Print frames live from a running gateway, e.g. http://127.0.0.1:8080 for all grippers, or
         /// http://127.0.0.1:8080/api/v1/grippers/left for one
-        #[arg(long, value_name = "URL", conflicts_with_all = ["file", "encode"])]
+        #[arg(long, value_name = "URL", value_parser = parse_web_url, conflicts_with_all = ["file", "encode"])]
         follow: Option<Url>,
     },
     /// List, follow, export, verify or back up the journal, even while the gateway runs

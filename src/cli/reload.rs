@@ -4,6 +4,7 @@ use std::fs;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
 use anyhow::{Context as _, bail};
 use bytes::Bytes;
@@ -15,7 +16,6 @@ use hyper::client::conn::http1;
 use hyper_util::rt::TokioIo;
 use serde::Deserialize;
 use tokio::io::{AsyncRead, AsyncWrite};
-use tokio::net::TcpStream;
 use tokio_rustls::TlsConnector;
 use tokio_rustls::rustls::crypto::ring::default_provider;
 use tokio_rustls::rustls::pki_types::pem::PemObject as _;
@@ -25,11 +25,15 @@ use url::Url;
 
 use crate::config::{Config, Flags};
 use crate::interfaces::tls::server_name;
+use crate::transport::host::{connect_to_host, parse_web_url};
+
+/// Time limit for connecting to any of the gateway's addresses.
+const CONNECTED_WITHIN: Duration = Duration::from_secs(10);
 
 #[derive(Debug, Args)]
 pub(super) struct ReloadArgs {
     /// Address of the gateway [default: the one in the configuration file, or http://127.0.0.1:8080/]
-    #[arg(long, value_name = "URL")]
+    #[arg(long, value_name = "URL", value_parser = parse_web_url)]
     url: Option<Url>,
     /// Configuration file of the gateway: tells where it listens, and which certificate to trust
     #[arg(long, value_name = "FILE", env = "WSG_GATEWAY_CONFIG")]
@@ -72,7 +76,7 @@ pub(super) async fn reload(args: &ReloadArgs) -> anyhow::Result<Vec<String>> {
     let port = url.port_or_known_default().unwrap_or(80);
     let unreachable = || format!("cannot connect to {url}: check that the gateway runs there");
     let address = host.trim_start_matches('[').trim_end_matches(']');
-    let stream = TcpStream::connect((address, port)).await.with_context(unreachable)?;
+    let stream = connect_to_host(address, port, CONNECTED_WITHIN).await.with_context(unreachable)?;
     let mut request = Request::post("/api/v1/reload").header(HOST, format!("{host}:{port}"));
     request = request.header(CONTENT_TYPE, "application/json");
     if let Some(token) = &token {

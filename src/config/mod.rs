@@ -26,6 +26,7 @@ mod drift;
 mod file;
 #[cfg(any(test, fuzzing))]
 pub(crate) mod fuzz;
+mod hosts;
 mod journal;
 mod modbus;
 mod networks;
@@ -290,7 +291,7 @@ impl Config {
             access,
             tls,
             tls_places: access::tls_places(file),
-            hosts: content.map(|content| content.hosts.clone()).unwrap_or_default(),
+            hosts: hosts::hosts(file)?,
             cors_origins: origins(file, "cors_origins", |content| &content.cors_origins)?,
             frame_ancestors: origins(file, "frame_ancestors", |content| &content.frame_ancestors)?,
             idle_timeout: idle_timeout(file)?,
@@ -447,7 +448,7 @@ struct Content {
     listen: Option<Spanned<String>>,
     insecure: bool,
     insecure_http: bool,
-    hosts: Vec<String>,
+    hosts: Vec<Spanned<String>>,
     cors_origins: Vec<Spanned<String>>,
     frame_ancestors: Vec<Spanned<String>>,
     access: Option<access::AccessContent>,

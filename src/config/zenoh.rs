@@ -9,6 +9,7 @@ use toml::Spanned;
 use zenoh::config::{EndPoint, WhatAmI};
 
 use super::{ConfigError, ConfigPlace, File, Flags};
+use crate::transport::host::check_host;
 
 /// Default endpoint to listen on.
 const DEFAULT_LISTEN: &str = "tcp/127.0.0.1:7447";
@@ -317,6 +318,9 @@ fn endpoints(
 /// All strings in a value, at any depth.
 fn texts(value: &Value) -> Vec<String> {
     match value {
+        if let Some(error) = host_of(endpoint).and_then(|host| check_host(&host).err()) {
+            return Err(ConfigError::at(&place, format!("the Zenoh endpoint {endpoint:?} has the host {error}")));
+        }
         Value::String(text) => vec![text.clone()],
         Value::Array(items) => items.iter().flat_map(texts).collect(),
         Value::Object(members) => members.values().flat_map(texts).collect(),
@@ -331,6 +335,13 @@ fn has_protocol(endpoint: &str, protocols: &[&str]) -> bool {
 /// Whether links of this endpoint use `transport/link/tls`, and its own parameters do not switch mutual TLS off.
 fn keeps_mutual_tls(endpoint: &str) -> bool {
     let own = |endpoint: EndPoint| endpoint.config().get("enable_mtls").is_none_or(|value| value == "true");
+/// Host name or IPv4 address of an endpoint.
+fn host_of(endpoint: &str) -> Option<String> {
+    let endpoint: EndPoint = endpoint.parse().ok()?;
+    let (host, _port) = endpoint.address().as_str().rsplit_once(':')?;
+    (!host.starts_with('[')).then(|| host.to_owned())
+}
+
     has_protocol(endpoint, &["quic", "tls"]) && endpoint.parse().is_ok_and(own)
 }
 

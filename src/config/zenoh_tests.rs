@@ -160,6 +160,12 @@ fn section_error_names_its_line() {
         let error = error(&format!("[zenoh]\nlisten = ['{endpoint}']"));
         assert!(error.starts_with(&format!("gateway.toml:2: {endpoint:?} is not a Zenoh endpoint")), "{error}");
     }
+    for host in ["192.168.001.020", "127.1", "2130706440"] {
+        for endpoint in [format!("tcp/{host}:7447"), format!("quic/{host}:7447#enable_mtls=false")] {
+            let error = error(&format!("[zenoh]\nconnect = ['{endpoint}']"));
+            assert!(error.starts_with("gateway.toml:2: ") && error.contains("not a plain IPv4 address"), "{error}");
+        }
+    }
     let with_path = listening("tls/127.0.0.1:7447#root_ca_certificate_file=/etc/wsg gateway/ca.pem");
     assert_eq!(load(&with_path).unwrap().listen, with_path.zenoh.zenoh_listen);
     assert!(error("[zenoh]\nconfig = 'none.json5'").contains("none.json5"));

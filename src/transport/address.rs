@@ -1,17 +1,20 @@
 //! Device addresses as URLs: `tcp://192.168.1.20:1000`, `udp://192.168.1.20:1500?local_port=1501`,
 //! `serial:///dev/ttyUSB0?baud=115200&stop_bits=1`, `can://can0?tx=0x64&rx=0x65`.
 
+use std::borrow::Cow;
 use std::fmt;
 use std::io;
+use std::net::SocketAddr;
 use std::str::FromStr;
 
+use tokio::time::Instant;
 use url::Url;
 
 use super::can::CanAddress;
 use super::serial::SerialAddress;
 use super::tcp::{self, TcpAddress};
 use super::udp::{self, UdpAddress};
-use super::{LinkProperties, Pipe};
+use super::{CONNECT_WITHIN, LinkProperties, Pipe, host};
 
 /// Address of a device.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -70,14 +73,15 @@ impl FromStr for Address {
 
     fn from_str(text: &str) -> Result<Self, InvalidAddress> {
         let example = example_for(text);
-        let url = Url::parse(text).map_err(|error| InvalidAddress::NoUrl {
+        let (plain, zone) = take_zone(text);
+        let url = Url::parse(&plain).map_err(|error| InvalidAddress::NoUrl {
             text: text.to_owned(),
             detail: error.to_string(),
             example,
         })?;
         let parsed = match url.scheme() {
-            "tcp" => TcpAddress::parse(&url).map(Self::Tcp),
-            "udp" => UdpAddress::parse(&url).map(Self::Udp),
+            "tcp" => TcpAddress::parse(&url, zone).map(Self::Tcp),
+            "udp" => UdpAddress::parse(&url, zone).map(Self::Udp),
             "serial" => SerialAddress::parse(&url).map(Self::Serial),
             "can" => CanAddress::parse(&url).map(Self::Can),
             scheme => {
@@ -87,6 +91,16 @@ impl FromStr for Address {
         let parsed = if url.fragment().is_some() { Err("a fragment (#) is not supported".to_owned()) } else { parsed };
         parsed.map_err(|detail| InvalidAddress::Part { text: text.to_owned(), detail, example })
     }
+}
+
+/// Takes the zone of an IPv6 address out of a URL, since the URL's parser knows none: `[fe80::1%25eth0]` (RFC 6874), or
+/// `[fe80::1%eth0]`, as other programs show it.
+fn take_zone(text: &str) -> (Cow<'_, str>, Option<&str>) {
+    let Some((scheme, rest)) = text.split_once("://[") else { return (text.into(), None) };
+    let Some((address, after)) = rest.split_once(']') else { return (text.into(), None) };
+    let Some((address, zone)) = address.split_once('%') else { return (text.into(), None) };
+    let zone = zone.strip_prefix("25").filter(|zone| !zone.is_empty()).unwrap_or(zone);
+    (format!("{scheme}://[{address}]{after}").into(), Some(zone))
 }
 
 impl fmt::Display for Address {
@@ -107,7 +121,11 @@ struct InUrl<'a>(&'a str);
 
 impl fmt::Display for InUrl<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if self.0.contains(':') { write!(f, "[{}]", self.0) } else { f.write_str(self.0) }
+        match self.0.split_once('%') {
+            Some((address, zone)) => write!(f, "[{address}%25{zone}]"),
+            None if self.0.contains(':') => write!(f, "[{}]", self.0),
+            None => f.write_str(self.0),
+        }
     }
 }
 
@@ -153,9 +171,29 @@ impl Address {
     /// # Errors
     /// The operating system's error with a remedy, or a timeout after [`super::CONNECT_WITHIN`].
     pub async fn connect(&self) -> io::Result<Pipe> {
+        let deadline = Instant::now() + CONNECT_WITHIN;
+        let resolved = self.resolve().await?;
+        self.connect_to(&resolved, deadline).await
+    }
+
+    /// Returns the addresses of the device's host; none for a serial port and CAN.
+    ///
+    /// # Errors
+    /// The host is unknown, or was not resolved within [`CONNECT_WITHIN`].
+    pub(super) async fn resolve(&self) -> io::Result<Vec<SocketAddr>> {
         match self {
-            Self::Tcp(address) => address.connect().await,
-            Self::Udp(address) => address.connect().await,
+            Self::Tcp(TcpAddress { host, port }) | Self::Udp(UdpAddress { host, port, .. }) => {
+                host::resolve(host, *port, CONNECT_WITHIN).await
+            }
+            Self::Serial(_) | Self::Can(_) => Ok(Vec::new()),
+        }
+    }
+
+    /// Opens a pipe to a host with these addresses.
+    pub(super) async fn connect_to(&self, resolved: &[SocketAddr], deadline: Instant) -> io::Result<Pipe> {
+        match self {
+            Self::Tcp(_) => tcp::connect(resolved, deadline).await,
+            Self::Udp(address) => address.connect(resolved).await,
             Self::Serial(address) => address.connect().await,
             Self::Can(address) => address.connect(),
         }

@@ -7,7 +7,11 @@ fn urls_survive_a_round_trip() {
         ("tcp://gripper.cell7", "tcp://gripper.cell7:1000"),
         ("tcp://[::1]:1234/", "tcp://[::1]:1234"),
         ("udp://10.0.0.5", "udp://10.0.0.5:1500?local_port=1501"),
-        ("udp://[fe80::1]:9?local_port=10", "udp://[fe80::1]:9?local_port=10"),
+        ("tcp://Gripper.Cell7:1000", "tcp://gripper.cell7:1000"),
+        ("udp://[2001:db8::1]:9?local_port=10", "udp://[2001:db8::1]:9?local_port=10"),
+        ("tcp://[fe80::1%25eth0]:1000", "tcp://[fe80::1%25eth0]:1000"),
+        ("tcp://[FE80::01%eth0.7]", "tcp://[fe80::1%25eth0.7]:1000"),
+        ("udp://[fe80::1%2]", "udp://[fe80::1%252]:1500?local_port=1501"),
         ("serial:///dev/ttyUSB0", "serial:///dev/ttyUSB0?baud=115200&stop_bits=1"),
         ("serial:///dev/ttyS1?stop_bits=2&baud=9600", "serial:///dev/ttyS1?baud=9600&stop_bits=2"),
         ("can://can0", "can://can0?tx=0x64&rx=0x65"),
@@ -52,6 +56,14 @@ fn errors_name_mistake_and_remedy() {
 fn option_errors_name_allowed_values() {
     mistake("tcp://host:1000?baud=9600", &["\"baud\"", "known options: none"]);
     mistake("udp://host?port=1", &["\"port\"", "local_port"]);
+    mistake("tcp://0.0.0.0", &["0.0.0.0 is the unspecified address", "tcp://192.168.1.20:1000"]);
+    for host in ["192.168.001.020", "127.1", "0x7f.0.0.8", "2130706440", "192.168.1.300"] {
+        mistake(&format!("tcp://{host}:1000"), &[host, "not a plain IPv4 address", "without leading zeros"]);
+        mistake(&format!("udp://{host}"), &[host, "not a plain IPv4 address", "such as 192.168.1.20"]);
+    }
+    mistake("tcp://[fe80::1]:1000", &["link-local", "[fe80::1%25eth0]"]);
+    mistake("udp://[2001:db8::1%25eth0]", &["not a link-local address", "leave out the zone %eth0"]);
+    mistake("tcp://[fe80::1%25a/b]", &["\"a/b\" is not the name of a network interface"]);
     mistake("udp://host?local_port=0", &["local_port=0", "1 to 65535"]);
     mistake("udp://host?local_port=1&local_port=2", &["local_port is given twice"]);
     mistake("serial:///dev/ttyS0?baud=12345", &["baud=12345", "1200", "460800"]);

@@ -5,6 +5,7 @@
 
 mod address;
 pub mod can;
+pub mod host;
 mod options;
 mod pace;
 mod present;
@@ -16,7 +17,7 @@ use std::fmt;
 use std::time::Duration;
 
 use tokio::io::{AsyncRead, AsyncWrite};
-use url::Url;
+use url::{Host, Url};
 
 pub use address::{Address, InvalidAddress};
 pub use can::CanAddress;
@@ -74,9 +75,34 @@ pub struct LinkProperties {
     pub frame_gap: Duration,
 }
 
-/// Host and port of a URL. Apart from options, other parts are an error.
-fn host_of(url: &Url, default_port: u16) -> Result<(String, u16), String> {
-    let host = url.host_str().filter(|host| !host.is_empty()).ok_or("the host is missing")?;
+/// Host and port of a URL, and the zone that was taken out of the URL. Apart from options, other parts are an error.
+fn host_of(url: &Url, zone: Option<&str>, default_port: u16) -> Result<(String, u16), String> {
+    let host = match url.host().ok_or("the host is missing")? {
+        Host::Domain("") => return Err("the host is missing".to_owned()),
+        Host::Domain(name) => {
+            host::check_host(name).map_err(|error| format!("the host is {error}"))?;
+            name.to_ascii_lowercase()
+        }
+        Host::Ipv4(address) => address.to_string(),
+        Host::Ipv6(address) => match zone {
+            Some(zone) if !address.is_unicast_link_local() => {
+                return Err(format!("{address} is not a link-local address, so leave out the zone %{zone}"));
+            }
+            Some(zone) if !is_interface_name(zone) => {
+                return Err(format!("the zone {zone:?} is not the name of a network interface"));
+            }
+            Some(zone) => format!("{address}%{zone}"),
+            None if address.is_unicast_link_local() => {
+                return Err(format!(
+                    "{address} is a link-local address, so name the network interface too: [{address}%25eth0]"
+                ));
+            }
+            None => address.to_string(),
+        },
+    };
+    if let Some(kind) = host.parse().ok().and_then(host::kind_of_no_device) {
+        return Err(format!("{host} is {kind}; use the device's own address"));
+    }
     let port = url.port().unwrap_or(default_port);
     if port == 0 {
         return Err("port 0 is not valid".to_owned());
@@ -87,6 +113,11 @@ fn host_of(url: &Url, default_port: u16) -> Result<(String, u16), String> {
     if !matches!(url.path(), "" | "/") {
         return Err("only options can follow the port".to_owned());
     }
-    // An IPv6 address has brackets in a URL, but not in a socket address.
-    Ok((host.trim_start_matches('[').trim_end_matches(']').to_owned(), port))
+    Ok((host, port))
+}
+
+/// Whether the kernel could have an interface of this name, or number.
+fn is_interface_name(zone: &str) -> bool {
+    // IFNAMSIZ, including the terminating NUL.
+    (1..=15).contains(&zone.len()) && zone.chars().all(|letter| letter.is_ascii_graphic() && letter != '/')
 }

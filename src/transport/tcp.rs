@@ -1,14 +1,15 @@
 //! TCP transport. A device listens on port 1000 and accepts one client at a time.
 
 use std::io;
+use std::net::SocketAddr;
 use std::time::Duration;
 
 use socket2::SockRef;
-use tokio::net::TcpStream;
+use tokio::time::Instant;
 use url::Url;
 
 use super::options::Options;
-use super::{CONNECT_WITHIN, LinkProperties, Pipe, host_of};
+use super::{LinkProperties, Pipe, host, host_of};
 
 /// Port that devices listen on (field practice; the manuals name none).
 const DEFAULT_PORT: u16 = 1000;
@@ -34,26 +35,24 @@ pub(super) const PROPERTIES: LinkProperties = LinkProperties {
 };
 
 impl TcpAddress {
-    pub(super) fn parse(url: &Url) -> Result<Self, String> {
+    pub(super) fn parse(url: &Url, zone: Option<&str>) -> Result<Self, String> {
         Options::of(url, &[])?;
-        let (host, port) = host_of(url, DEFAULT_PORT)?;
+        let (host, port) = host_of(url, zone, DEFAULT_PORT)?;
         Ok(Self { host, port })
     }
+}
 
-    pub(super) async fn connect(&self) -> io::Result<Pipe> {
-        let connecting = TcpStream::connect((self.host.as_str(), self.port));
-        let stream = tokio::time::timeout(CONNECT_WITHIN, connecting).await.map_err(|_| {
-            let waited = CONNECT_WITHIN.as_secs();
-            io::Error::new(io::ErrorKind::TimedOut, format!("no connection within {waited} s"))
-        })??;
-        // A small urgent frame must not wait for the acknowledgement of the previous one.
-        stream.set_nodelay(true)?;
-        let socket = SockRef::from(&stream).try_clone()?;
-        let discard = move || {
-            // The end of the connection is then a reset, which a gripper takes for an end without an announcement.
-            let _ = socket.set_linger(Some(Duration::ZERO));
-        };
-        let (reader, writer) = stream.into_split();
-        Ok(Pipe { discard_unsent: Some(Box::new(discard)), ..Pipe::new(reader, writer) })
-    }
+/// Connects to the first of the device's addresses that accepts.
+pub(super) async fn connect(addresses: &[SocketAddr], deadline: Instant) -> io::Result<Pipe> {
+    let left = deadline.saturating_duration_since(Instant::now());
+    let stream = host::connect_to_first(addresses, left).await?;
+    // A small urgent frame must not wait for the acknowledgement of the previous one.
+    stream.set_nodelay(true)?;
+    let socket = SockRef::from(&stream).try_clone()?;
+    let discard = move || {
+        // The end of the connection is then a reset, which a gripper takes for an end without an announcement.
+        let _ = socket.set_linger(Some(Duration::ZERO));
+    };
+    let (reader, writer) = stream.into_split();
+    Ok(Pipe { discard_unsent: Some(Box::new(discard)), ..Pipe::new(reader, writer) })
 }

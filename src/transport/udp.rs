@@ -16,8 +16,9 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::UdpSocket;
 use url::Url;
 
+use super::host::kind_of_no_device;
 use super::options::Options;
-use super::{CONNECT_WITHIN, LinkProperties, Pipe, host_of};
+use super::{LinkProperties, Pipe, host_of};
 
 /// Port that devices listen on (field practice; the manuals name none).
 const DEFAULT_PORT: u16 = 1500;
@@ -76,26 +77,16 @@ impl UdpAddress {
         Self { host, port, local_port, attempts: Attempts::default() }
     }
 
-    pub(super) fn parse(url: &Url) -> Result<Self, String> {
+    pub(super) fn parse(url: &Url, zone: Option<&str>) -> Result<Self, String> {
         let options = Options::of(url, &["local_port"])?;
-        let (host, port) = host_of(url, DEFAULT_PORT)?;
+        let (host, port) = host_of(url, zone, DEFAULT_PORT)?;
         let local_port = options.port("local_port")?.unwrap_or(DEFAULT_LOCAL_PORT);
-        if let Some(kind) = host.parse().ok().and_then(kind_of_no_device) {
-            return Err(format!("{host} is {kind}; use the device's own address"));
-        }
         Ok(Self::new(host, port, local_port))
     }
 
-    pub(super) async fn connect(&self) -> io::Result<Pipe> {
-        let lookup = tokio::net::lookup_host((self.host.as_str(), self.port));
-        let addresses = tokio::time::timeout(CONNECT_WITHIN, lookup).await.map_err(|_| {
-            let waited = CONNECT_WITHIN.as_secs();
-            io::Error::new(
-                io::ErrorKind::TimedOut,
-                format!("host name {:?} was not resolved within {waited} s", self.host),
-            )
-        })??;
-        let device = self.choose(addresses).await?;
+    /// Opens the local port for a device with these addresses.
+    pub(super) async fn connect(&self, addresses: &[SocketAddr]) -> io::Result<Pipe> {
+        let device = self.choose(addresses.iter().copied()).await?;
         let socket = UdpSocket::bind((any(device), self.local_port)).await.map_err(|error| self.explain(&error))?;
         let socket = Arc::new(socket);
         let reader = Datagrams { socket: socket.clone(), device: device.ip(), datagram: Vec::new(), taken: 0 };
@@ -136,16 +127,6 @@ impl UdpAddress {
 /// The unspecified address of the same family, to listen on all interfaces.
 fn any(address: SocketAddr) -> IpAddr {
     if address.is_ipv4() { Ipv4Addr::UNSPECIFIED.into() } else { Ipv6Addr::UNSPECIFIED.into() }
-}
-
-/// Kind of an address that no single device can have, or `None`.
-fn kind_of_no_device(address: IpAddr) -> Option<&'static str> {
-    match address.to_canonical() {
-        address if address.is_unspecified() => Some("the unspecified address"),
-        address if address.is_multicast() => Some("a multicast address"),
-        IpAddr::V4(Ipv4Addr::BROADCAST) => Some("the broadcast address"),
-        _ => None,
-    }
 }
 
 /// Checks that an address is usable. Sends nothing: the kernel looks up a route, and rejects broadcast addresses.
@@ -219,6 +200,7 @@ impl AsyncWrite for Sender {
 mod tests {
     use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
+    use super::super::Address;
     use super::*;
 
     fn at(host: &str, port: u16, local_port: u16) -> UdpAddress {
@@ -233,7 +215,7 @@ mod tests {
         let device = UdpSocket::bind("127.0.0.1:0").await.unwrap();
         let port = device.local_addr().unwrap().port();
         let local_port = free_port().await;
-        let pipe = at("127.0.0.1", port, local_port).connect().await.unwrap();
+        let pipe = Address::Udp(at("127.0.0.1", port, local_port)).connect().await.unwrap();
         (device, pipe, local_port)
     }
 
@@ -270,7 +252,7 @@ mod tests {
     #[tokio::test]
     async fn port_in_use_error_names_remedy() {
         let (_device, _pipe, local_port) = pair().await;
-        let error = at("127.0.0.1", 1500, local_port).connect().await.unwrap_err().to_string();
+        let error = Address::Udp(at("127.0.0.1", 1500, local_port)).connect().await.unwrap_err().to_string();
         assert!(error.contains(&local_port.to_string()) && error.contains("separate local_port"), "{error}");
     }
     #[tokio::test]

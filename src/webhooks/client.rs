@@ -14,16 +14,19 @@ use http_body_util::Full;
 use hyper::client::conn::http1;
 use hyper::rt::{Read, Write};
 use hyper_util::rt::TokioIo;
-use tokio::net::TcpStream;
 use tokio::time::timeout;
 use tokio_rustls::TlsConnector;
 use tokio_rustls::rustls::crypto::ring::default_provider;
 use tokio_rustls::rustls::{self, ClientConfig};
 
 use super::settings::{Authorities, Receiver};
+use crate::transport::host::connect_to_host;
 
 /// Time limit of an attempt, from the connection to the header of the response.
 const ANSWERED_WITHIN: Duration = Duration::from_secs(15);
+
+/// Time limit for connecting to any of the receiver's addresses; the rest is for its answer.
+const CONNECTED_WITHIN: Duration = Duration::from_secs(10);
 
 /// Size limit of a response's header in bytes.
 const MAX_HEADER_BYTES: usize = 16 * 1024;
@@ -111,7 +114,8 @@ impl WebhookClient {
     ) -> Result<http::Response<hyper::body::Incoming>, DeliveryFailure> {
         let receiver = || self.receiver.clone();
         let unreachable = |cause| DeliveryFailure::Unreachable { receiver: receiver(), cause };
-        let stream = TcpStream::connect(self.receiver.address()).await.map_err(unreachable)?;
+        let (host, port) = self.receiver.address();
+        let stream = connect_to_host(host, port, CONNECTED_WITHIN).await.map_err(unreachable)?;
         let exchanged = match &self.receiver.tls_name {
             Some(name) => {
                 let stream = TlsConnector::from(self.tls.clone()).connect(name.clone(), stream).await;

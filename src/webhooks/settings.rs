@@ -12,6 +12,7 @@ use url::{Position, Url};
 
 use crate::gripper::model::Name;
 use crate::journal::EventKind;
+use crate::transport::host::parse_web_url;
 
 /// Prefix of a secret in text form (Standard Webhooks, "Signature scheme").
 const SECRET_PREFIX: &str = "whsec_";
@@ -45,7 +46,7 @@ impl FromStr for Receiver {
     fn from_str(text: &str) -> Result<Self, InvalidSetting> {
         let invalid =
             |detail: &str| InvalidSetting(format!("the webhook's url {detail}: write https://mes.example/hooks/wsg"));
-        let url = Url::parse(text).map_err(|error| invalid(&format!("is not a valid URL ({error})")))?;
+        let url = parse_web_url(text).map_err(|error| invalid(&error.to_string()))?;
         if !url.username().is_empty() || url.password().is_some() {
             return Err(invalid("contains a user name: the signature identifies the gateway"));
         }
@@ -197,6 +198,8 @@ mod tests {
             ("ftp://mes.example", "neither http"),
             ("https://user:s3cret@mes.example", "user name"),
             ("https://", "not a valid URL"),
+            ("http://192.168.001.020/s3cret", "has the host \"192.168.001.020\", which is not a plain IPv4 address"),
+            ("https://127.1:8443/s3cret", "without leading zeros"),
         ] {
             let error = url.parse::<Receiver>().unwrap_err().to_string();
             assert!(error.contains(expected) && !error.contains("s3cret"), "{error}");

@@ -1,18 +1,23 @@
 //! `wsg-gateway decode --follow URL`: prints the frames on a running gateway's device links as they pass.
 
 use std::io::Write;
+use std::time::Duration;
 
 use anyhow::{Context as _, bail, ensure};
 use futures_util::{SinkExt as _, StreamExt as _};
 use serde::Deserialize;
 use serde_json::{Value, json};
-use tokio_tungstenite::connect_async;
+use tokio_tungstenite::client_async;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest as _;
 use tokio_tungstenite::tungstenite::http::HeaderValue;
 use tokio_tungstenite::tungstenite::{Error, Message};
 use url::Url;
 
 use crate::gripper::model::FrameDirection;
+use crate::transport::host::connect_to_host;
+
+/// Time limit for connecting to any of the gateway's addresses.
+const CONNECTED_WITHIN: Duration = Duration::from_secs(10);
 
 /// A JSON-RPC message from a gateway.
 #[derive(Debug, Deserialize)]
@@ -52,7 +57,11 @@ pub async fn follow(url: &Url, output: &mut impl Write) -> anyhow::Result<()> {
     let mut request =
         address.as_str().into_client_request().with_context(|| format!("{url} is not a valid address"))?;
     request.headers_mut().insert("Sec-WebSocket-Protocol", HeaderValue::from_static("wsg.v1"));
-    let connected = connect_async(request).await;
+    let host = address.host_str().unwrap_or_default().trim_start_matches('[').trim_end_matches(']');
+    let port = address.port_or_known_default().unwrap_or(80);
+    let stream = connect_to_host(host, port, CONNECTED_WITHIN).await;
+    let stream = stream.map_err(|error| anyhow::anyhow!("no gateway answers at {url}: {error}"))?;
+    let connected = client_async(request, stream).await;
     let (mut socket, _) =
         connected.map_err(|error| anyhow::anyhow!("no gateway answers at {url}: {}", describe(error)))?;
     let params = match &gripper {

@@ -6,11 +6,12 @@ use std::time::Duration;
 use anyhow::{Context as _, anyhow};
 use tokio::net::TcpListener;
 use tokio::sync::mpsc;
-use url::Url;
+use url::{Host, Url};
 
 use super::super::listen::failed;
 use super::{pty, udp};
 use crate::sim::Interface;
+use crate::transport::host::check_host;
 use crate::transport::{Address, CanAddress, Pipe, TcpAddress};
 
 /// The port that devices listen on (field practice).
@@ -42,6 +43,9 @@ impl Wire {
                     Address::Can(address.clone()).connect().await.map(|_| Self::Can(address)).map_err(Into::into)
                 }
                 other => Err(anyhow!("{other} is not a CAN address")),
+        if let ("tcp" | "udp", Some(Host::Domain(name))) = (url.scheme(), url.host()) {
+            check_host(name).with_context(|| format!("{url} cannot be served"))?;
+        }
             },
             scheme => Err(anyhow!("unknown transport {scheme:?}: use tcp, udp, serial or can")),
         };

@@ -19,7 +19,7 @@ const ROOMS: &str = "
     access: gripper/model
     main: cli
     cli: access config daemon doctor fleet interfaces interfaces/http interfaces/websocket gripper/model journal logging
-        wsg wsg/frame
+        transport wsg wsg/frame
     alarms: fleet gripper gripper/model gripper/recorder journal wear
     daemon: access alarms config interfaces interfaces/dashboard interfaces/http interfaces/modbus interfaces/wsg_port
         interfaces/zenoh events fleet operations gripper gripper/actor gripper/model gripper/recorder journal recipes
@@ -51,7 +51,7 @@ const ROOMS: &str = "
     transport:
     trends: gripper gripper/model
     wear: gripper gripper/model gripper/recorder journal
-    webhooks: gripper gripper/model gripper/recorder journal
+    webhooks: gripper gripper/model gripper/recorder journal transport
     wsg: wsg/crc wsg/frame
     wsg/crc:
     wsg/frame: wsg/crc
