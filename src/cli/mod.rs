@@ -178,6 +178,7 @@ fn check(flags: &Flags) -> anyhow::Result<()> {
     daemon::check(&config)?;
     daemon::check_files(&config)?;
     for warning in &config.warnings {
+    daemon::runtime()?.block_on(daemon::check_devices(&config))?;
         let _ = writeln!(std::io::stderr(), "warning: {warning}");
     }
     quietly(writeln!(std::io::stdout(), "configuration valid: {}", config.summary()))

@@ -15,6 +15,7 @@ use crate::gripper::model::{Name, PersistedKey};
 use crate::gripper::recorder::RestoredState;
 use crate::gripper::{self, Connector, GripperMetrics, Grippers, Handle, Reconfiguration};
 use crate::journal::{Journal, Recovered};
+use crate::transport::DevicesInUse;
 
 /// The running grippers.
 pub(super) struct RunningGrippers {
@@ -23,6 +24,7 @@ pub(super) struct RunningGrippers {
     journal: Journal,
     registry: Registry,
     running: BTreeMap<Name, RunningGripper>,
+    in_use: DevicesInUse,
 }
 
 /// The parts of a running gripper that a new configuration uses.
@@ -56,15 +58,19 @@ impl RunningGrippers {
     ) -> anyhow::Result<Self> {
         let grippers = Grippers::new([]);
         let (devices, journal, registry) = (devices.clone(), journal.clone(), registry.clone());
-        let mut this = Self { grippers, devices, journal, registry, running: BTreeMap::new() };
-        let handles: anyhow::Result<Vec<_>> =
-            config.grippers.iter().map(|gripper| this.spawn(config, gripper, connector(gripper)?, recovered)).collect();
-        this.grippers.change(handles?, &[]);
+        let (running, in_use) = (BTreeMap::new(), DevicesInUse::default());
+        let mut this = Self { grippers, devices, journal, registry, running, in_use };
+        let mut handles = Vec::new();
+        for gripper in &config.grippers {
+            let connector = this.connector(gripper)?;
+            handles.push(this.spawn(config, gripper, connector, recovered)?);
+        }
+        this.grippers.change(handles, &[]);
         Ok(this)
     }
 
     /// Compares two configurations, and prepares the devices of the new one.
-    pub(super) fn compare(before: &Config, after: &Config) -> Result<GripperDifferences, ConfigError> {
+    pub(super) fn compare(&self, before: &Config, after: &Config) -> Result<GripperDifferences, ConfigError> {
         let find = |config: &Config, name: &Name| config.grippers.iter().find(|gripper| gripper.name == *name).cloned();
         let mut changes = GripperDifferences::default();
         let is_gone = |gripper: &&GripperConfig| find(after, &gripper.name).is_none();
@@ -78,7 +84,7 @@ impl RunningGrippers {
                 if old.is_some() {
                     check_device(gripper, before, &changes.removed)?;
                 }
-                changes.connectors.insert(name.clone(), connector(gripper)?);
+                changes.connectors.insert(name.clone(), self.connector(gripper)?);
             }
             match old {
                 None => changes.added.push(name),
@@ -132,6 +138,17 @@ impl RunningGrippers {
         Ok(())
     }
 
+    fn connector(&self, gripper: &GripperConfig) -> Result<Arc<dyn Connector>, ConfigError> {
+        Ok(match &gripper.device {
+            DeviceSource::At(address) => Arc::new(self.in_use.exclusive(gripper.name.as_str(), address.clone())),
+            DeviceSource::Simulated(url) => {
+                let device =
+                    SimulatedDevice::from_url(url).map_err(|detail| ConfigError::at(&gripper.place, detail))?;
+                Arc::new(device.start(url.as_str()))
+            }
+        })
+    }
+
     fn spawn(
         &mut self,
         config: &Config,
@@ -181,16 +198,6 @@ fn ends_ports(before: &GripperConfig, after: &GripperConfig) -> bool {
         (gripper.device.clone(), gripper.updates, gripper.custom_ids.clone(), gripper.fast_stop_on_disconnect)
     };
     of_clients(before) != of_clients(after)
-}
-
-fn connector(gripper: &GripperConfig) -> Result<Arc<dyn Connector>, ConfigError> {
-    Ok(match &gripper.device {
-        DeviceSource::At(address) => Arc::new(address.clone()),
-        DeviceSource::Simulated(url) => {
-            let device = SimulatedDevice::from_url(url).map_err(|detail| ConfigError::at(&gripper.place, detail))?;
-            Arc::new(device.start(url.as_str()))
-        }
-    })
 }
 
 fn actor_config(

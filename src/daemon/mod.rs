@@ -42,6 +42,7 @@ use crate::operations::audit::Audit;
 use crate::operations::readiness::EXPOSED;
 use crate::operations::{Gateway, Reloads};
 use crate::recipes::Recipes;
+use crate::transport::find_same_device;
 use crate::trends::Trends;
 use crate::wear::Wear;
 use crate::webhooks::{WebhookContext, Webhooks};
@@ -106,6 +107,27 @@ pub fn check(config: &Config) -> Result<(), ConfigError> {
         }
     }
     Ok(())
+}
+
+/// Checks that no two grippers have one device under two names, as far as host names can be resolved now. The gateway
+/// itself checks this whenever it connects, since it must start without a name server.
+///
+/// # Errors
+/// The second gripper of a device.
+pub async fn check_devices(config: &Config) -> Result<(), ConfigError> {
+    let mut grippers = Vec::new();
+    let mut addresses = Vec::new();
+    for gripper in &config.grippers {
+        if let DeviceSource::At(address) = &gripper.device {
+            grippers.push(gripper);
+            addresses.push(address);
+        }
+    }
+    let Some((first, second, why)) = find_same_device(&addresses).await else { return Ok(()) };
+    let (first, second) = (grippers[first], grippers[second]);
+    let remedy = "use separate addresses, or remove one";
+    let detail = format!("{} and {} cannot both be served: {why}: {remedy}", first.name, second.name);
+    Err(ConfigError::at(&second.place, detail))
 }
 
 /// Checks the files that the configuration names. Reads them, but changes nothing.

@@ -139,7 +139,7 @@ impl Reloader {
         let of_a_port = self.shares.of_ports(&config).map_err(|error| unusable(error.into()))?;
         let settings = settings::of_http(&config, self.settings.get().tls.clone()).map_err(unusable)?;
         let access = settings::of_access(&config).map_err(|error| unusable(error.into()))?;
-        let grippers = RunningGrippers::compare(&self.config, &config)?;
+        let grippers = self.grippers.compare(&self.config, &config)?;
         let ports = self.ports.prepare(&config, of_a_port).map_err(unusable)?;
         let listener =
             (config.listen != self.config.listen).then(|| self.listen(&config)).transpose().map_err(unusable)?;

@@ -91,6 +91,9 @@ pub async fn examine(flags: &Flags, mut report: impl FnMut(&Diagnosis)) {
         Ok(config) => config,
         Err(error) => return report(&Diagnosis::problem("configuration", error)),
     };
+    if let Err(error) = daemon::check_devices(&config).await {
+        report(&Diagnosis::problem("configuration", error));
+    }
     report(&Diagnosis::good("configuration", config.summary()));
     config.warnings.iter().for_each(|warning| report(&Diagnosis::warning("configuration", warning)));
     let running = running::GatewayState::find(&config).await;

@@ -4,7 +4,7 @@ use std::future::Future;
 use std::io;
 use std::pin::Pin;
 
-use crate::transport::{Address, LinkProperties, Pipe};
+use crate::transport::{Address, ExclusiveAddress, LinkProperties, Pipe};
 
 /// Makes links to one device.
 pub trait Connector: Send + Sync + 'static {
@@ -24,6 +24,20 @@ impl Connector for Address {
 
     fn properties(&self) -> LinkProperties {
         Self::properties(self)
+    }
+
+    fn connect(&self) -> Pin<Box<dyn Future<Output = io::Result<Pipe>> + Send + '_>> {
+        Box::pin(Self::connect(self))
+    }
+}
+
+impl Connector for ExclusiveAddress {
+    fn url(&self) -> String {
+        self.address().to_string()
+    }
+
+    fn properties(&self) -> LinkProperties {
+        self.address().properties()
     }
 
     fn connect(&self) -> Pin<Box<dyn Future<Output = io::Result<Pipe>> + Send + '_>> {

@@ -5,6 +5,7 @@
 
 mod address;
 pub mod can;
+mod exclusive;
 pub mod host;
 mod options;
 mod pace;
@@ -21,6 +22,7 @@ use url::{Host, Url};
 
 pub use address::{Address, InvalidAddress};
 pub use can::CanAddress;
+pub use exclusive::{DevicesInUse, ExclusiveAddress, find_same_device};
 pub use options::Options;
 pub use pace::Pacer;
 pub use present::available;

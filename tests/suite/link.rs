@@ -307,4 +307,25 @@ async fn cause_of_a_failed_setup_says_what_arrived() {
     let cause = state["link_cause"].as_str().unwrap();
     assert!(cause.starts_with("the device does not answer GetSystemInfo: the line returned"), "{cause}");
     echo.abort();
+async fn device_under_two_names_has_one_connection() {
+    let device = Simulator::start(&[]).await;
+    let proxy = Proxy::to(device.address);
+    let port = proxy.address.port();
+    let (named, by_address) = (format!("a=tcp://localhost:{port}"), format!("b=tcp://127.0.0.1:{port}"));
+    let gateway = Gateway::start(&["--gripper", &named, "--gripper", &by_address]).await;
+    let states = async || {
+        let [a, b] = ["a", "b"].map(|name| format!("/api/v1/grippers/{name}/state"));
+        [gateway.get(&a).await.ok(), gateway.get(&b).await.ok()]
+    };
+    let is_taken =
+        |state: &Value| state["link_cause"].as_str().is_some_and(|cause| cause.contains(" is the device of "));
+    let (served, refused) = eventually("one is served, the other refused", async || {
+        let [a, b] = states().await;
+        let (served, refused) = if a["link"] == "connected" { (a, b) } else { (b, a) };
+        (served["link"] == "connected" && is_taken(&refused)).then_some((served, refused))
+    })
+    .await;
+    let cause = refused["link_cause"].as_str().unwrap();
+    assert!(cause.contains(&format!("the device of {} already", served["gripper"].as_str().unwrap())), "{cause}");
+    assert_eq!((proxy.frames.count(0x50), &served["fast_stop"]), (1, &json!(false)), "{served}");
 }
