@@ -283,7 +283,7 @@ impl Config {
             access::check_exposure(&listen, &access, tls.is_some(), insecure_http)?;
         }
         let grippers = grippers(flags, file, insecure)?;
-        Ok(Self {
+        let config = Self {
             warnings: access::unknown_grippers(file, &grippers),
             journal: JournalConfig::merge(flags, file, &name)?,
             name,
@@ -303,7 +303,9 @@ impl Config {
             modbus: Modbus::merge(flags, file, insecure || has_known_addresses(file))?,
             zenoh: Zenoh::merge(flags, file, insecure)?,
             webhooks: file.map(webhooks::settings).transpose()?.unwrap_or_default(),
-        })
+        };
+        wsg_port::check_reply_ports(&config)?;
+        Ok(config)
     }
 }
 

@@ -243,6 +243,66 @@ fn wsg_port_error_names_remedy() {
     assert!(ports("127.0.0.1:0", "127.0.0.1:0").is_ok());
 }
 
+/// With both defaults, a driver on this machine would get its replies at the port where the gripper's arrive.
+#[test]
+fn reply_port_is_no_port_of_the_gateway() {
+    let text = |url: &str, ports: &str, more: &str| {
+        format!("{more}\n[grippers.a]\nurl = \"{url}\"\n[grippers.b]\nurl = \"sim://wsg50\"\nwsg_port = [{ports}]\n")
+    };
+    let mistake = file(&text("udp://10.0.0.5", "\"udp://127.0.0.1\"", "")).unwrap_err().to_string();
+    assert!(mistake.starts_with("gateway.toml:6: the WSG port of b sends its replies to UDP port 1501"), "{mistake}");
+    assert!(mistake.contains("the local_port of a") && mistake.contains("reply_port=sender"), "{mistake}");
+    let quic = "zenoh = { listen = [\"quic/127.0.0.1:1777\"] }";
+    for (url, ports, more, owner) in [
+        ("udp://10.0.0.5?local_port=1777", "\"udp://127.0.0.1?reply_port=1777\"", "", "the local_port of a"),
+        ("sim://wsg50", "\"udp://127.0.0.1:1777?reply_port=1777\"", "", "the UDP WSG port of b"),
+        ("sim://wsg50", "\"udp://127.0.0.1?reply_port=5353\"", "mdns = true", "the port of mDNS"),
+        ("sim://wsg50", "\"udp://127.0.0.1?reply_port=1777\"", quic, "a Zenoh endpoint"),
+    ] {
+        let mistake = file(&text(url, ports, more)).unwrap_err().to_string();
+        assert!(mistake.contains(owner), "{mistake}");
+    }
+    for ports in ["\"udp://127.0.0.1?reply_port=sender\"", "\"udp://127.0.0.1?reply_port=1502\"", "\"127.0.0.1:1501\""]
+    {
+        assert!(file(&text("udp://10.0.0.5", ports, "")).is_ok(), "{ports}");
+    }
+}
+
+/// Some parsers and resolvers read these as other addresses than a person does.
+#[test]
+fn host_must_be_a_plain_address_everywhere() {
+    for host in ["192.168.001.020", "127.1", "0x7f.0.0.8", "2130706440", "192.168.1.300"] {
+        let gripper = |line: &str| format!("[grippers.g]\nurl = \"sim://wsg50\"\n{line}");
+        for text in [
+            format!("[grippers.g]\nurl = \"tcp://{host}:1000\""),
+            format!("[grippers.g]\nurl = \"udp://{host}\""),
+            format!("listen = \"{host}:8080\""),
+            format!("modbus = \"{host}:502\""),
+            format!("hosts = [\"{host}\"]"),
+            format!("cors_origins = [\"http://{host}\"]"),
+            format!("frame_ancestors = [\"http://{host}\"]"),
+            format!("public_url = \"http://{host}:8080/\""),
+            format!("modbus_allow = [\"{host}\"]\nmodbus = \"127.0.0.1:502\""),
+            format!("[zenoh]\nlisten = [\"tcp/{host}:7447\"]"),
+            format!(
+                "[[webhooks]]\nname = \"mes\"\nurl = \"http://{host}/\"\nsecret = \"whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw\""
+            ),
+            format!("[[clients]]\nname = \"plc\"\nrole = \"observer\"\naddress = \"{host}\""),
+            gripper(&format!("wsg_port = \"{host}:1000\"")),
+            gripper(&format!("wsg_port = \"tcp://{host}:1000\"")),
+            gripper(&format!("wsg_port = \"udp://{host}:1500\"")),
+            gripper(&format!("wsg_port_allow = [\"{host}\"]")),
+        ] {
+            let error = file(&text).map(|_| ()).expect_err(&text).to_string();
+            let is_placed = error.starts_with("gateway.toml:");
+            assert!(
+                is_placed && (error.contains(host) || error.contains("public_url")) && error.contains(": "),
+                "{error}"
+            );
+        }
+    }
+}
+
 #[test]
 fn updates_are_configured_for_each_gripper() {
     let grippers = |text: &str| file(text).unwrap().grippers;

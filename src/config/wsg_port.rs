@@ -9,9 +9,9 @@ use serde::Deserialize;
 use url::Url;
 
 use super::networks::parse_networks;
-use super::{ConfigError, ConfigPlace, File, GripperConfig, GripperContent};
+use super::{Config, ConfigError, ConfigPlace, DeviceSource, File, GripperConfig, GripperContent, Zenoh};
 use crate::gripper::model::Name;
-use crate::transport::Options;
+use crate::transport::{Address, Options};
 
 /// TCP port that devices listen on (field practice).
 const DEFAULT_TCP_PORT: u16 = 1000;
@@ -22,6 +22,9 @@ const DEFAULT_UDP_PORT: u16 = 1500;
 const DEFAULT_REPLY_PORT: u16 = 1501;
 /// Value of `reply_port` for replies to the port that a request came from.
 const REPLY_TO_SENDER: &str = "sender";
+
+/// UDP port of mDNS (RFC 6762).
+const MDNS_PORT: u16 = 5353;
 
 /// Configurable silence after which a UDP client is lost, in ms: the range of a lease's time to live.
 const LOST_AFTER_MS: RangeInclusive<u32> = 100..=60_000;
@@ -67,6 +70,49 @@ pub(super) fn check_addresses(grippers: &[GripperConfig]) -> Result<(), ConfigEr
         }
     }
     Ok(())
+}
+
+/// Checks that no port sends its replies to a UDP port of the gateway itself. With a client on this machine, the gateway
+/// would take its own reply to that client for the gripper's, and end the holder's motion.
+pub(super) fn check_reply_ports(config: &Config) -> Result<(), ConfigError> {
+    let own = udp_ports(config);
+    for gripper in &config.grippers {
+        for (address, place) in &gripper.wsg_port.addresses {
+            let WsgAddress::Udp { reply_port: Some(reply_port), .. } = address else { continue };
+            if let Some((_, owner)) = own.iter().find(|(port, _)| port == reply_port) {
+                let detail = format!(
+                    "the WSG port of {} sends its replies to UDP port {reply_port}, which is {owner}: the gateway would \
+                     receive them itself. Set another reply_port here and in the driver, or reply_port={REPLY_TO_SENDER}, \
+                     or use another port there",
+                    gripper.name
+                );
+                return Err(ConfigError::at(place, detail));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// UDP ports of the gateway, with their purposes.
+fn udp_ports(config: &Config) -> Vec<(u16, String)> {
+    let mut ports = Vec::new();
+    for gripper in &config.grippers {
+        let name = &gripper.name;
+        if let DeviceSource::At(Address::Udp(address)) = &gripper.device {
+            ports.push((address.local_port, format!("the local_port of {name}")));
+        }
+        for (address, _) in &gripper.wsg_port.addresses {
+            if let WsgAddress::Udp { address, .. } = address {
+                ports.push((address.port(), format!("the UDP WSG port of {name}")));
+            }
+        }
+    }
+    let zenoh = config.zenoh.iter().flat_map(Zenoh::udp_ports);
+    ports.extend(zenoh.map(|port| (port, "a Zenoh endpoint of the gateway".to_owned())));
+    if config.mdns {
+        ports.push((MDNS_PORT, "the port of mDNS".to_owned()));
+    }
+    ports
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

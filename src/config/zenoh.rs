@@ -184,6 +184,14 @@ impl Zenoh {
         all.filter(|endpoint| has_protocol(endpoint, &["tls"])).collect()
     }
 
+    /// Returns the UDP ports that the gateway listens on for Zenoh.
+    #[must_use]
+    pub fn udp_ports(&self) -> Vec<u16> {
+        let quic = self.listen.iter().filter(|endpoint| has_protocol(endpoint, &["quic"]));
+        let addresses = quic.filter_map(|endpoint| endpoint.parse::<EndPoint>().ok());
+        addresses.filter_map(|parsed| parsed.address().as_str().rsplit_once(':')?.1.parse().ok()).collect()
+    }
+
     /// Returns the setting by which Zenoh finds others whose addresses are not configured, if one is on.
     fn looks_for(&self) -> Option<&'static str> {
         let (multicast, gossip) = ("scouting/multicast/enabled", "scouting/gossip/autoconnect");
@@ -311,6 +319,9 @@ fn endpoints(
                 format!("{endpoint:?} is not a Zenoh endpoint: write {DEFAULT_LISTEN} or quic/cell-7.example:7447");
             return Err(ConfigError::at(&place, detail));
         }
+        if let Some(error) = host_of(endpoint).and_then(|host| check_host(&host).err()) {
+            return Err(ConfigError::at(&place, format!("the Zenoh endpoint {endpoint:?} has the host {error}")));
+        }
     }
     Ok((endpoints, place))
 }
@@ -318,14 +329,18 @@ fn endpoints(
 /// All strings in a value, at any depth.
 fn texts(value: &Value) -> Vec<String> {
     match value {
-        if let Some(error) = host_of(endpoint).and_then(|host| check_host(&host).err()) {
-            return Err(ConfigError::at(&place, format!("the Zenoh endpoint {endpoint:?} has the host {error}")));
-        }
         Value::String(text) => vec![text.clone()],
         Value::Array(items) => items.iter().flat_map(texts).collect(),
         Value::Object(members) => members.values().flat_map(texts).collect(),
         _ => Vec::new(),
     }
+}
+
+/// Host name or IPv4 address of an endpoint.
+fn host_of(endpoint: &str) -> Option<String> {
+    let endpoint: EndPoint = endpoint.parse().ok()?;
+    let (host, _port) = endpoint.address().as_str().rsplit_once(':')?;
+    (!host.starts_with('[')).then(|| host.to_owned())
 }
 
 fn has_protocol(endpoint: &str, protocols: &[&str]) -> bool {
@@ -335,13 +350,6 @@ fn has_protocol(endpoint: &str, protocols: &[&str]) -> bool {
 /// Whether links of this endpoint use `transport/link/tls`, and its own parameters do not switch mutual TLS off.
 fn keeps_mutual_tls(endpoint: &str) -> bool {
     let own = |endpoint: EndPoint| endpoint.config().get("enable_mtls").is_none_or(|value| value == "true");
-/// Host name or IPv4 address of an endpoint.
-fn host_of(endpoint: &str) -> Option<String> {
-    let endpoint: EndPoint = endpoint.parse().ok()?;
-    let (host, _port) = endpoint.address().as_str().rsplit_once(':')?;
-    (!host.starts_with('[')).then(|| host.to_owned())
-}
-
     has_protocol(endpoint, &["quic", "tls"]) && endpoint.parse().is_ok_and(own)
 }
 
