@@ -29,6 +29,10 @@ const FIRST_BACK_OFF: Duration = Duration::from_millis(100);
 /// Longest pause between two attempts.
 const LONGEST_BACK_OFF: Duration = Duration::from_secs(2);
 
+/// Time for which a link must have lasted before the pauses start anew. Otherwise a device that accepts every connection
+/// and drops it at once would be connected to nine times per second.
+const HELD_FOR: Duration = Duration::from_secs(10);
+
 /// Time limit for writing the disconnect announcement before a link is closed.
 const FAREWELL_WITHIN: Duration = Duration::from_millis(100);
 
@@ -180,8 +184,9 @@ impl Driver {
         while self.may_connect() {
             tokio::select! {
                 biased;
-                input = self.wait(None) => self.take_request(input),
+                // First, because clients could always have another request waiting.
                 connected = &mut connecting => return Some(connected),
+                input = self.wait(None) => self.take_request(input),
             }
         }
         // A connection being made may exist already, and dropping it would cause a FAST STOP.
@@ -197,22 +202,25 @@ impl Driver {
     }
 
     /// Waits before the next attempt to connect, and serves requests meanwhile. The wait ends early if the gateway may
-    /// no longer connect.
+    /// no longer connect. While the device has not confirmed a FAST STOP, the wait is the shortest one, also if the FAST
+    /// STOP is requested meanwhile. It is not left out, so that repeated FAST STOPs do not make repeated connections.
     async fn pause(&mut self, back_off: Duration) {
-        let jittered = back_off.mul_f64(rand::rng().random_range(0.75..=1.0));
-        let mut sleep = Box::pin(tokio::time::sleep(jittered));
+        let jitter = rand::rng().random_range(0.75..=1.0);
+        let begun = Now::read().instant;
         while self.may_connect() {
+            let pause = if self.actor.owes_fast_stop() { FIRST_BACK_OFF } else { back_off };
             tokio::select! {
                 biased;
+                () = sleep_until(Some(begun + pause.mul_f64(jitter))) => return,
                 input = self.wait(None) => self.take_request(input),
-                () = &mut sleep => return,
             }
         }
     }
 
-    /// Serves a link until it ends. Returns whether it was ever set up.
+    /// Serves a link until it ends. Returns whether it was set up and lasted for [`HELD_FOR`].
     async fn serve(&mut self, pipe: Pipe) -> bool {
-        self.actor.link_up(Now::read());
+        let begun = Now::read();
+        self.actor.link_up(begun);
         let mut link = LinkIo::new(pipe);
         let cause = loop {
             if let Some(close) = self.actor.wants_close() {
@@ -232,8 +240,9 @@ impl Driver {
             }
         };
         let was_set_up = self.actor.is_set_up();
-        self.actor.link_down(Now::read(), &cause);
-        was_set_up
+        let ended = Now::read();
+        self.actor.link_down(ended, &cause);
+        was_set_up && ended.instant >= begun.instant + HELD_FOR
     }
 
     /// Waits for the next input. Cancel-safe.

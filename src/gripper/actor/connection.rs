@@ -90,6 +90,12 @@ impl Actor {
         self.link.is_up()
     }
 
+    /// Whether a FAST STOP is latched that the device has not confirmed.
+    #[must_use]
+    pub fn owes_fast_stop(&self) -> bool {
+        self.latch.is_unconfirmed()
+    }
+
     /// Sets up the device again after silence or missing updates. Without connections, these can be the only sign of a
     /// restart. A running motion continues; no new one starts until the clients' settings are checked.
     pub(super) fn set_up_again(&mut self, now: Now) {
