@@ -11,6 +11,7 @@ use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio::sync::oneshot;
 use tokio_util::sync::CancellationToken;
 
+mod last_replies;
 use super::acknowledge::acknowledge;
 use super::device::{PortOrder, PortOrdered, PortReply, PortRequest, VirtualDevice};
 use super::port::Port;
@@ -66,6 +67,8 @@ pub(super) struct Served<R, W> {
     /// Whether the client was silent for too long. Such a client still gets its outstanding replies and its updates,
     /// since many clients wait for them forever.
     is_lost: bool,
+    /// End of the client, after which it starts no motion, acknowledges nothing and takes no lease.
+    end: Option<ClientEnd>,
     /// Whether the client has used a script that may move the fingers, and so may take the lease.
     uses_scripts: bool,
     /// Newest lease that this client has tried to keep.
@@ -97,6 +100,8 @@ enum Step {
 enum ClientEnd {
     /// The client has disconnected or is lost.
     Gone,
+    /// The client has closed the sending side of its connection, and perhaps the other side too.
+    SentLast,
     /// The gateway shuts down.
     Closing,
 }
@@ -128,6 +133,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             heard: clock::instant(),
             is_fresh: true,
             is_lost: false,
+            end: None,
             uses_scripts: false,
             tried_epoch: 0,
             refusals: Refusals::default(),
@@ -136,7 +142,8 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
 
     /// Serves the client until it is gone, or until `closing`.
     pub(super) async fn run(mut self, closing: CancellationToken) {
-        if self.serve(&closing).await == ClientEnd::Closing {
+        let end = self.serve(&closing).await;
+        if end == ClientEnd::Closing {
             // At shutdown, the gripper was released cleanly. The client must still learn how its last motion ended.
             let _ = tokio::time::timeout(LAST_REPLIES_WITHIN, self.finish()).await;
             // After a reload, the gripper is still there.
@@ -160,8 +167,17 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
         }
         self.start_orders();
         let has_announced = self.device.has_announced();
-        self.device.forget_waiting();
+        self.end = Some(end);
+        if end == ClientEnd::SentLast {
+            // For the lease and a running motion, this is the end of the connection: a killed client looks the same.
+            self.device.withdraw_motions();
+        } else {
+            self.device.forget_waiting();
+        }
         self.leave_lease(has_announced).await;
+        if end == ClientEnd::SentLast {
+            self.send_last_replies(&closing).await;
+        }
         // FAST STOPs of the client may still be waiting for their turn.
         let _ = tokio::time::timeout(LAST_REPLIES_WITHIN, self.finish_fast_stops()).await;
     }
@@ -211,6 +227,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
                 Some(step) = self.under_way.next() => self.take(step),
                 read = self.reader.read(&mut incoming) => match read {
                     Ok(bytes) if bytes > 0 => self.receive(incoming.get(..bytes).unwrap_or_default()),
+                    Ok(_) if self.silence.is_none() => return ClientEnd::SentLast,
                     _ => return ClientEnd::Gone,
                 },
                 () = sleep_until(deadline) => {
@@ -230,29 +247,6 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
                     self.device.handle_timeout(clock::instant(), &state);
                 }
             }
-        }
-    }
-
-    async fn finish(&mut self) {
-        while let Some(step) = self.under_way.next().await {
-            self.take(step);
-            self.start_orders();
-        }
-        let unfinished = self.outgoing.get(self.written..).unwrap_or_default().to_vec();
-        let rest = std::iter::from_fn(|| self.device.poll_frame());
-        for frame in std::iter::once(unfinished).chain(rest) {
-            if self.writer.write_all(&frame).await.is_err() {
-                return;
-            }
-        }
-    }
-
-    async fn finish_fast_stops(&mut self) {
-        while self.device.is_stopping()
-            && let Some(step) = self.under_way.next().await
-        {
-            self.take(step);
-            self.start_orders();
         }
     }
 
@@ -315,13 +309,16 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
         while let Some(ordered) = self.device.poll_order() {
             self.uses_scripts |= matches!(&ordered.order, PortOrder::Exchange(wsg::Command::Custom(custom))
                 if !self.port.gripper.only_reads(custom.id()));
-            if rights::allows(&self.port, self.address, &ordered.order) {
+            let is_late = self.is_too_late(&ordered.order);
+            if !is_late && rights::allows(&self.port, self.address, &ordered.order) {
                 let step = self.step_of(ordered);
                 self.begin(step);
             } else {
                 let (ask, status) = (ordered.ask, Status::E_ACCESS_DENIED);
-                let refused = Refused { id: ask.id, status, cause: Cause::Forbidden };
-                self.refusals.record(&self.port, &self.client, &refused);
+                if !is_late {
+                    let refused = Refused { id: ask.id, status, cause: Cause::Forbidden };
+                    self.refusals.record(&self.port, &self.client, &refused);
+                }
                 self.answer(ask, PortReply::Refused(RefusedStatus { status, fast_stop: None }));
             }
         }
@@ -476,6 +473,9 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
 
     /// Keeps the lease that a motion has taken, if it is this client's.
     fn keep(&mut self) {
+        if self.end.is_some() {
+            return;
+        }
         let take = TakeLease { token: Some(self.token.clone()), ..TakeLease::by(self.client.clone()) };
         let gripper: Handle = self.port.gripper.clone();
         // Fails if another client has just forced the lease away.

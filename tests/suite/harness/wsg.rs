@@ -146,6 +146,11 @@ impl Driver {
         matches!(read, Ok(0) | Err(_))
     }
 
+    /// Closes the sending side, and goes on reading.
+    pub async fn end_sending(&mut self) {
+        self.stream.shutdown().await.unwrap();
+    }
+
     /// Closes with a TCP reset, so that unread bytes do not matter.
     pub fn reset(self) {
         self.stream.set_zero_linger().unwrap();

@@ -51,6 +51,49 @@ async fn announced_disconnect_during_a_motion_is_a_stop() {
     assert_eq!(cell.proxy.frames.count(0x07), 0, "the gateway's own session stays open");
 }
 
+/// For example a script that pipes requests through netcat.
+#[tokio::test]
+async fn half_closed_client_gets_all_its_replies() {
+    let cell = Cell::homed().await;
+    for announced in [false, true] {
+        let mut driver = cell.driver().await;
+        let mut ids: Vec<u8> = [0x06, 0x31, 0x06, 0x33, 0x06, 0x50, 0x30, 0x06, 0x31].repeat(4);
+        ids.extend(announced.then_some(0x07));
+        let acceleration = floats(&[1500.0]);
+        let payload = |id| if id == 0x30 { acceleration.as_slice() } else { &[] };
+        let requests: Vec<u8> = ids.iter().flat_map(|&id| request(id, payload(id))).collect();
+        driver.send_raw(&requests).await;
+        driver.end_sending().await;
+        for id in ids {
+            let reply = driver.next().await;
+            assert_eq!((reply.id, reply.status), (id, SUCCESS));
+        }
+        assert!(driver.has_ended().await, "then the client is gone");
+    }
+    assert_eq!(cell.gateway.state().await["fast_stop"], false);
+}
+
+#[tokio::test]
+async fn half_close_during_a_motion_is_a_loss_and_is_answered() {
+    let cell = Cell::homed().await;
+    let mut driver = cell.driver().await;
+    assert_eq!(driver.status(MOVE, &move_to(10.0, 5.0)).await, PENDING);
+    cell.gateway.until_moving().await;
+    // The acknowledgement waits for the Loop, and so comes behind the FAST STOP that the client's end causes.
+    driver.send_raw(&[request(0x06, b"x"), request(0x24, b"ack"), request(MOVE, &move_to(50.0, 5.0))].concat()).await;
+    driver.end_sending().await;
+    let mut replies = Vec::new();
+    for _ in 0..4 {
+        let reply = driver.next().await;
+        replies.push((reply.id, reply.status));
+    }
+    assert!(replies.contains(&(0x06, SUCCESS)) && replies.contains(&(MOVE, ABORTED)), "{replies:?}");
+    assert!(driver.has_ended().await);
+    let state = cell.gateway.until("confirmed", |state| state["fast_stop_confirmed"] == true).await;
+    assert_eq!((&state["fast_stop_cause"], &state["lease_holder"]), (&json!("client_lost"), &json!(null)), "{state}");
+    assert_eq!((cell.proxy.frames.count(0x24), cell.proxy.frames.count(MOVE)), (0, 1));
+}
+
 #[tokio::test]
 async fn announcement_behind_an_unanswered_motion_is_no_loss() {
     let cell = Cell::homed().await;
