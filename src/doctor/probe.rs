@@ -62,7 +62,7 @@ pub(super) async fn identify(pipe: Pipe, is_connection: bool, wait: Duration) ->
     let identification = match conversation.ask(&Command::GetSystemInfo).await {
         Ok(Reply::Success(Data::SystemInfo(info))) => {
             let tag = match conversation.ask(&Command::GetDeviceTag).await {
-                Ok(Reply::Success(Data::DeviceTag(tag))) => Some(tag.as_str().to_owned()),
+                Ok(Reply::Success(Data::DeviceTag(tag))) => Some(tag.text()),
                 _ => None,
             };
             Identification::Device(DeviceIdentity { info, tag })

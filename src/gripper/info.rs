@@ -120,6 +120,13 @@ impl Info {
         }
     }
 
+    /// Whether the firmware is known to take no device tags other than ASCII (`fw4-en 3.5.2`).
+    #[must_use]
+    pub fn demands_ascii_tags(&self) -> bool {
+        let major = self.firmware.as_deref().and_then(|firmware| firmware.split('.').next()?.parse::<u8>().ok());
+        major.is_some_and(|major| major >= FIRST_FW4)
+    }
+
     /// Takes the information that the device reported during setup.
     pub(super) fn learn(&mut self, system: &SystemInfo, limits: &SystemLimits, tag: Option<&DeviceTag>) {
         self.device_type = Some(system.device_type.to_string());
@@ -127,7 +134,7 @@ impl Info {
         self.hardware_revision = Some(system.hardware_revision);
         self.firmware = Some(system.firmware.to_string());
         self.serial_number = Some(system.serial_number);
-        self.device_tag = tag.map(|tag| tag.as_str().to_owned());
+        self.device_tag = tag.map(DeviceTag::text);
         self.stroke_mm = Some(limits.stroke.mm());
         self.min_speed_mm_s = Some(limits.min_speed.mm_s());
         self.max_speed_mm_s = Some(limits.max_speed.mm_s());

@@ -269,8 +269,8 @@ pub struct TagAnswer {
 #[serde(deny_unknown_fields)]
 #[schema(example = json!({"tag": "cell 7"}))]
 pub struct TagSetting {
-    /// The tag: at most 64 printable ASCII characters.
-    #[schema(max_length = 64, pattern = "^[ -~]*$")]
+    /// The tag: at most 64 printable ASCII characters; before firmware 4, also of ISO 8859-1.
+    #[schema(max_length = 64, pattern = "^[ -~\\u00a0-\\u00ff]*$")]
     tag: String,
     /// Token of the current lease, if the gripper is leased. At most 64 bytes; empty means none.
     #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
@@ -284,7 +284,7 @@ async fn exchange_tag(gripper: Gripper, command: wsg::Command) -> SettingResult<
         _ => None,
     };
     let tag = none_if_not_available(ask(&gripper, command, take).await)?;
-    Ok(Json(TagAnswer { gripper: gripper.name(), tag: tag.map(|tag| tag.as_str().to_owned()) }))
+    Ok(Json(TagAnswer { gripper: gripper.name(), tag: tag.map(|tag| tag.text()) }))
 }
 
 async fn get_tag(call: Call) -> SettingResult<TagAnswer> {
@@ -296,13 +296,15 @@ async fn set_tag(call: Call) -> SettingResult<TagAnswer> {
     let (gripper, TagSetting { tag, lease }) = call.gripper_and_fields()?;
     let gripper = gripper.with_lease(lease.as_deref())?;
     let refused = |error: InvalidDeviceTag| match error {
-        InvalidDeviceTag::TooLong => Problem::too_long("tag", tag.len(), DeviceTag::MAX_BYTES),
+        InvalidDeviceTag::TooLong => Problem::too_long("tag", tag.chars().count(), DeviceTag::MAX_BYTES),
         InvalidDeviceTag::IllegalCharacter => {
             Problem::new(Code::Malformed, error.to_string()).field("tag").value(Some(tag.clone().into()))
         }
     };
-    // The device strips trailing NULs, so a tag that ends in them is refused rather than changed.
-    let tag =
-        if tag.ends_with('\0') { Err(InvalidDeviceTag::IllegalCharacter) } else { DeviceTag::new(tag.as_bytes()) };
-    exchange_tag(gripper, wsg::Command::SetDeviceTag(tag.map_err(refused)?)).await
+    let new = DeviceTag::from_text(&tag).map_err(refused)?;
+    // fw2 strips trailing NULs, so a tag that ends in them is refused rather than changed.
+    if tag.ends_with('\0') || (!new.is_ascii() && gripper.handle.info().demands_ascii_tags()) {
+        return Err(refused(InvalidDeviceTag::IllegalCharacter));
+    }
+    exchange_tag(gripper, wsg::Command::SetDeviceTag(new)).await
 }

@@ -96,8 +96,11 @@ impl Device {
             Command::OverdriveMode { .. } if !self.config.overdrive => return Status::E_FEATURE_NOT_SUPPORTED,
             Command::OverdriveMode { on } => self.settings.set_overdrive(on, &self.config),
             // Ruling: an empty tag removes the tag.
+            Command::SetDeviceTag(tag) if self.config.generation == Generation::Fw4 && !tag.is_ascii() => {
+                return Status::E_INVALID_PARAMETER;
+            }
             Command::SetDeviceTag(tag) => {
-                self.settings.device_tag = Some(tag).filter(|tag| !tag.as_str().is_empty());
+                self.settings.device_tag = Some(tag.stripped()).filter(|tag| !tag.is_empty());
             }
             _ => {}
         }

@@ -24,7 +24,7 @@ const OPTIONS: [(&str, &str); 35] = [
     ("acceleration_mm_s2", "a value within the limits"),
     ("force_limit_n", "a force up to nominal"),
     ("soft_limits_mm", "the limits as MINUS..PLUS, e.g. 10..60"),
-    ("device_tag", "up to 64 ASCII characters"),
+    ("device_tag", "up to 64 printable characters of ISO 8859-1"),
     ("checksum_evaluation", "true or false"),
     ("bad_checksum", "silence or answer"),
     ("fast_stop_on_disconnect", "true or false"),
@@ -98,7 +98,7 @@ fn apply(config: &mut DeviceConfig, option: &str, value: &str) -> Option<()> {
             config.soft_limits = Some(SoftLimits::new(width(minus)?, width(plus)?)?);
         }
         "device_tag" => {
-            config.device_tag = Some(DeviceTag::new(value.as_bytes()).ok()?).filter(|tag| !tag.as_str().is_empty());
+            config.device_tag = Some(DeviceTag::from_text(value).ok()?).filter(|tag| !tag.is_empty());
         }
         "checksum_evaluation" => {
             let values = [("true", ChecksumEvaluation::On), ("false", ChecksumEvaluation::Off)];

@@ -118,6 +118,23 @@ fn empty_tag_removes_the_tag() {
     assert_eq!(bench.reply(&Command::GetDeviceTag), status(Status::E_NOT_AVAILABLE));
 }
 
+/// fw4-en 3.5.2 says ASCII; fw2 3.5.2 says text, and strips trailing NULs.
+#[test]
+fn tag_of_fw2_takes_other_characters_and_nuls() {
+    for (config, expected) in
+        [(DeviceConfig::wsg50(), status(Status::E_INVALID_PARAMETER)), (DeviceConfig::wsg50().fw2(), DONE)]
+    {
+        for tag in ["Zelle ü", "cell 7\0"] {
+            let mut bench = Bench::new(config.clone());
+            assert_eq!(bench.reply(&Command::SetDeviceTag(DeviceTag::from_text(tag).unwrap())), expected, "{tag:?}");
+            if expected == DONE {
+                let shown = DeviceTag::from_text(tag.trim_end_matches('\0')).unwrap();
+                assert_eq!(bench.reply(&Command::GetDeviceTag), Reply::Success(Data::DeviceTag(shown)));
+            }
+        }
+    }
+}
+
 #[test]
 fn fast_stop_can_keep_a_held_part() {
     let mut bench = holding(DeviceConfig { fast_stop_lets_go: false, ..DeviceConfig::wsg50() });

@@ -1,6 +1,8 @@
 //! Current state of the device: values of its getters, and a full snapshot for tests and the control port.
 
-use crate::wsg::{Data, Force, GripperState, SoftLimits, Speed, Statistics, SystemInfo, SystemState, Width, id};
+use crate::wsg::{
+    Data, DeviceTag, Force, GripperState, SoftLimits, Speed, Statistics, SystemInfo, SystemState, Width, id,
+};
 
 use super::Device;
 use super::axis::AxisDirection;
@@ -84,7 +86,7 @@ impl Device {
             force_limit_n: self.settings.force_limit_n,
             soft_limits: self.settings.soft_limits,
             overdrive: self.settings.overdrive,
-            device_tag: self.settings.device_tag.as_ref().map(|tag| tag.as_str().to_owned()),
+            device_tag: self.settings.device_tag.as_ref().map(DeviceTag::text),
             updates: self.subscriptions.ids().collect(),
             connected: self.link.is_some(),
             announced: self.announced,

@@ -335,7 +335,7 @@ impl Command {
             | Self::GetWidth(updates)
             | Self::GetSpeed(updates)
             | Self::GetForce(updates) => updates.write(out),
-            Self::SetDeviceTag(tag) => out.extend_from_slice(tag.as_str().as_bytes()),
+            Self::SetDeviceTag(tag) => out.extend_from_slice(tag.as_bytes()),
             Self::Custom(custom) => out.extend_from_slice(&custom.payload),
             Self::Verbatim(verbatim) => out.extend_from_slice(&verbatim.payload),
             _ => {}

@@ -182,9 +182,16 @@ impl SoftLimits {
     }
 }
 
-/// A device tag (51h, 52h): at most 64 ASCII characters without control characters.
-#[derive(Debug, Clone, PartialEq, Eq, Hash)]
-pub struct DeviceTag(String);
+/// A device tag (51h, 52h): at most 64 characters of one byte each, without control characters. fw4-en 3.5.2 demands
+/// ASCII. fw2 3.5.2 does not, so such a tag can have any printable character of ISO 8859-1.
+#[derive(Clone, PartialEq, Eq, Hash)]
+pub struct DeviceTag(Vec<u8>);
+
+impl fmt::Debug for DeviceTag {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "DeviceTag(\"{}\")", self.0.escape_ascii())
+    }
+}
 
 /// Reason why a text is not a valid device tag.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
@@ -192,8 +199,8 @@ pub enum InvalidDeviceTag {
     /// The text exceeds [`DeviceTag::MAX_BYTES`].
     #[error("a device tag can have at most 64 characters")]
     TooLong,
-    /// The text contains a non-ASCII or control character.
-    #[error("a device tag must be ASCII without control characters")]
+    /// The text contains a control character, or one that is not in ISO 8859-1.
+    #[error("a device tag must be printable characters of ISO 8859-1, or of ASCII on firmware 4 and newer")]
     IllegalCharacter,
 }
 
@@ -201,27 +208,87 @@ impl DeviceTag {
     /// Limit in bytes (`fw4-en 3.5.2`).
     pub const MAX_BYTES: usize = 64;
 
-    /// Builds a tag from `bytes`, without trailing NULs (fw2 3.5.2).
+    /// Limit in bytes with trailing NULs, which a driver may send because fw2 strips them. More NULs are left out.
+    const MAX_BYTES_WITH_NULS: usize = 2 * Self::MAX_BYTES;
+
+    /// Builds a tag that is to be set. Trailing NULs stay: fw2 3.5.2 strips them, and for fw4 they are control
+    /// characters, so the device decides.
     ///
     /// # Errors
     /// [`InvalidDeviceTag`]; a device returns `E_OVERRUN` or `E_INVALID_PARAMETER` instead.
     pub fn new(bytes: &[u8]) -> Result<Self, InvalidDeviceTag> {
-        let stripped = bytes.len() - bytes.iter().rev().take_while(|&&byte| byte == 0).count();
-        let bytes = &bytes[..stripped];
-        if bytes.len() > Self::MAX_BYTES {
+        let text = without_trailing_nuls(bytes);
+        if text.len() > Self::MAX_BYTES {
             return Err(InvalidDeviceTag::TooLong);
         }
-        match std::str::from_utf8(bytes) {
-            Ok(text) if bytes.iter().all(|byte| matches!(byte, 0x20..=0x7E)) => Ok(Self(text.to_owned())),
-            _ => Err(InvalidDeviceTag::IllegalCharacter),
+        if text.iter().any(|&byte| char::from(byte).is_control()) {
+            return Err(InvalidDeviceTag::IllegalCharacter);
         }
+        Ok(Self(bytes.iter().copied().take(Self::MAX_BYTES_WITH_NULS).collect()))
     }
 
-    /// The tag as text.
+    /// Builds a tag that is to be set from its text.
+    ///
+    /// # Errors
+    /// [`InvalidDeviceTag`].
+    pub fn from_text(text: &str) -> Result<Self, InvalidDeviceTag> {
+        let bytes =
+            text.chars().map(|character| u8::try_from(character).map_err(|_| InvalidDeviceTag::IllegalCharacter));
+        Self::new(&bytes.collect::<Result<Vec<_>, _>>()?)
+    }
+
+    /// Builds the tag that a device reports. Another program may have set it, in another character set.
+    ///
+    /// # Errors
+    /// [`InvalidDeviceTag`] if it contains a control character of ASCII, or is too long: the frame is damaged.
+    pub fn reported(bytes: &[u8]) -> Result<Self, InvalidDeviceTag> {
+        let text = without_trailing_nuls(bytes);
+        if text.len() > Self::MAX_BYTES {
+            return Err(InvalidDeviceTag::TooLong);
+        }
+        if text.iter().any(u8::is_ascii_control) {
+            return Err(InvalidDeviceTag::IllegalCharacter);
+        }
+        Ok(Self(bytes.to_vec()))
+    }
+
+    /// The tag without trailing NULs.
     #[must_use]
-    pub fn as_str(&self) -> &str {
+    pub fn stripped(&self) -> Self {
+        Self(without_trailing_nuls(&self.0).to_vec())
+    }
+
+    /// Whether all characters are printable ASCII.
+    #[must_use]
+    pub fn is_ascii(&self) -> bool {
+        self.0.iter().all(|byte| matches!(byte, 0x20..=0x7E))
+    }
+
+    /// Whether the tag has no bytes.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// The bytes as they are sent.
+    #[must_use]
+    pub fn as_bytes(&self) -> &[u8] {
         &self.0
     }
+
+    /// The tag as text, read as ISO 8859-1, without trailing NULs, and with `\u{fffd}` for control characters.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let characters = without_trailing_nuls(&self.0).iter().map(|&byte| char::from(byte));
+        characters
+            .map(|character| if character.is_control() { char::REPLACEMENT_CHARACTER } else { character })
+            .collect()
+    }
+}
+
+fn without_trailing_nuls(bytes: &[u8]) -> &[u8] {
+    let end = bytes.iter().rposition(|&byte| byte != 0).map_or(0, |last| last + 1);
+    &bytes[..end]
 }
 
 /// Reply data of Get Gripping Statistics (42h, `fw4-en 3.4.3`).
@@ -364,11 +431,34 @@ mod tests {
     }
 
     #[test]
-    fn tag_takes_at_most_64_printable_ascii_characters() {
-        assert_eq!(DeviceTag::new(b"cell 7\0\0").unwrap().as_str(), "cell 7");
+    fn tag_takes_at_most_64_printable_characters() {
         assert!(DeviceTag::new(&[b'x'; 64]).is_ok());
         assert_eq!(DeviceTag::new(&[b'x'; 65]), Err(InvalidDeviceTag::TooLong));
-        assert_eq!(DeviceTag::new(b"a\nb"), Err(InvalidDeviceTag::IllegalCharacter));
-        assert_eq!(DeviceTag::new("ü".as_bytes()), Err(InvalidDeviceTag::IllegalCharacter));
+        for illegal in ["a\nb", "a\0b", "a\u{7f}", "a\u{85}", "€", "Ω"] {
+            assert_eq!(DeviceTag::from_text(illegal), Err(InvalidDeviceTag::IllegalCharacter), "{illegal:?}");
+        }
+        let tag = DeviceTag::from_text("Zelle ü").unwrap();
+        assert_eq!((tag.as_bytes(), tag.is_ascii()), (&b"Zelle \xFC"[..], false));
+        assert_eq!(tag.text(), "Zelle ü");
+        assert!(DeviceTag::new(b"cell 7").unwrap().is_ascii());
+    }
+
+    /// fw2 3.5.2 strips trailing NULs; fw4-en 3.5.2 knows them as control characters only. The device decides.
+    #[test]
+    fn trailing_nuls_are_sent_and_not_shown() {
+        let tag = DeviceTag::new(b"cell 7\0\0").unwrap();
+        assert_eq!((tag.as_bytes(), tag.text().as_str()), (&b"cell 7\0\0"[..], "cell 7"));
+        assert_eq!(tag.stripped().as_bytes(), b"cell 7");
+        assert!(!tag.is_ascii() && tag.stripped().is_ascii());
+        let padded = [&[b'x'; 64][..], &[0; 300]].concat();
+        assert_eq!(DeviceTag::new(&padded).unwrap().as_bytes().len(), 128);
+    }
+
+    #[test]
+    fn reported_tag_is_shown_in_any_character_set() {
+        assert_eq!(DeviceTag::reported(b"Zelle \xFC\0").unwrap().text(), "Zelle ü");
+        assert_eq!(DeviceTag::reported(b"10 \x80").unwrap().text(), "10 \u{fffd}");
+        assert_eq!(DeviceTag::reported(b"a\nb"), Err(InvalidDeviceTag::IllegalCharacter));
+        assert_eq!(DeviceTag::reported(&[b'x'; 65]), Err(InvalidDeviceTag::TooLong));
     }
 }

@@ -164,7 +164,7 @@ impl Data {
                 firmware: Firmware(fields.u16()),
                 serial_number: fields.u32(),
             }),
-            id::GET_DEVICE_TAG => Self::DeviceTag(DeviceTag::new(data).map_err(|_| value)?),
+            id::GET_DEVICE_TAG => Self::DeviceTag(DeviceTag::reported(data).map_err(|_| value)?),
             id::GET_SYSTEM_LIMITS => {
                 let limits = read_limits(&mut fields).map_err(number)?;
                 Self::SystemLimits(if limits.are_plausible() { limits } else { return Err(value) })
@@ -220,7 +220,7 @@ impl Data {
                 out.extend_from_slice(&info.firmware.0.to_le_bytes());
                 out.extend_from_slice(&info.serial_number.to_le_bytes());
             }
-            Self::DeviceTag(tag) => out.extend_from_slice(tag.as_str().as_bytes()),
+            Self::DeviceTag(tag) => out.extend_from_slice(tag.as_bytes()),
             Self::SystemLimits(limits) => write_limits(limits, out),
             Self::FingerInfo(_, info) => {
                 out.push(info.finger_type.code());

@@ -40,6 +40,7 @@ fn every_reply_survives_a_round_trip() {
         }),
     );
     round_trip(0x52, Data::DeviceTag(DeviceTag::new(b"cell 7").unwrap()));
+    round_trip(0x52, Data::DeviceTag(DeviceTag::reported(b"Zelle \xFC\0").unwrap()));
     round_trip(
         0x53,
         Data::SystemLimits(SystemLimits {

@@ -83,7 +83,7 @@ impl fmt::Display for Command {
                 Updates::Off => Ok(()),
                 Updates::On { on_change, period_ms } => write!(f, " period_ms={period_ms} on_change={on_change}"),
             },
-            Self::SetDeviceTag(tag) => write!(f, " tag={:?}", tag.as_str()),
+            Self::SetDeviceTag(tag) => write!(f, " tag={:?}", tag.text()),
             Self::Custom(custom) => write_bytes(f, custom.payload()),
             Self::Verbatim(verbatim) => write_bytes(f, verbatim.payload()),
             _ => Ok(()),
@@ -132,7 +132,7 @@ impl fmt::Display for Reply {
                 info.firmware,
                 info.serial_number
             ),
-            Data::DeviceTag(tag) => write!(f, " tag={:?}", tag.as_str()),
+            Data::DeviceTag(tag) => write!(f, " tag={:?}", tag.text()),
             Data::SystemLimits(limits) => write!(
                 f,
                 " stroke={} speed={}..{} acceleration={}..{} force={}..{}..{}",
@@ -322,8 +322,8 @@ impl Fields {
             id::GET_FORCE => Command::GetForce(self.updates()?),
             id::SET_DEVICE_TAG => {
                 let value = self.required("tag")?;
-                let expected = "at most 64 ASCII characters without control characters";
-                Command::SetDeviceTag(DeviceTag::new(value.as_bytes()).map_err(|_| wrong("tag", &value, expected))?)
+                let expected = "at most 64 printable characters of ISO 8859-1";
+                Command::SetDeviceTag(DeviceTag::from_text(&value).map_err(|_| wrong("tag", &value, expected))?)
             }
             id::ACKNOWLEDGE_FAST_STOP => Command::AcknowledgeFastStop,
             // All other commands have no parameters, so their payload is empty.

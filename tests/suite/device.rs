@@ -66,6 +66,22 @@ async fn device_tag_is_written_once_a_second_by_all_interfaces_together() {
     assert!(times[1] - times[0] >= Duration::from_millis(950), "{times:?}");
 }
 
+/// Its manual does not demand ASCII, so other programs may have set any tag.
+#[tokio::test]
+async fn device_tag_of_firmware_2_can_have_other_characters() {
+    let device = Simulator::start(&["--firmware", "fw2", "--option", "device_tag=Prüfplatz 3"]).await;
+    let gateway = Gateway::connected_to(device.address).await;
+    assert_eq!(gateway.get("").await.field("device_tag"), "Prüfplatz 3");
+    let set = gateway.put("settings/device-tag", &json!({"tag": "Zelle ü"})).await.ok();
+    assert_eq!((&set["tag"], gateway.get("").await.field("device_tag")), (&json!("Zelle ü"), &json!("Zelle ü")));
+    gateway.put("settings/device-tag", &json!({"tag": "10 €"})).await.problem(400, "malformed");
+    // Not allowed on firmware 4, but shown.
+    let device = Simulator::start(&["--option", "device_tag=Prüfplatz 3"]).await;
+    let gateway = Gateway::connected_to(device.address).await;
+    assert_eq!(gateway.get("").await.field("device_tag"), "Prüfplatz 3");
+    assert_eq!(gateway.get("settings/device-tag").await.ok()["tag"], "Prüfplatz 3");
+}
+
 #[tokio::test]
 async fn unchanged_device_tag_is_not_written_again() {
     let device = Simulator::start(&[]).await;

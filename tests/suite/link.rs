@@ -307,6 +307,9 @@ async fn cause_of_a_failed_setup_says_what_arrived() {
     let cause = state["link_cause"].as_str().unwrap();
     assert!(cause.starts_with("the device does not answer GetSystemInfo: the line returned"), "{cause}");
     echo.abort();
+}
+
+#[tokio::test]
 async fn device_under_two_names_has_one_connection() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);

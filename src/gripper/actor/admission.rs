@@ -314,7 +314,7 @@ impl Actor {
         match data {
             Data::Acceleration(_) | Data::ForceLimit(_) | Data::SoftLimits(_) => self.settings.note(data),
             Data::DeviceTag(tag) => {
-                self.publication.change_info(|info| info.device_tag = Some(tag.as_str().to_owned()));
+                self.publication.change_info(|info| info.device_tag = Some(tag.text()));
             }
             _ => return,
         }

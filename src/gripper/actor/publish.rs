@@ -55,7 +55,7 @@ impl Publication {
 
     /// Whether the device is known to have this tag.
     pub(super) fn has_tag(&self, tag: &DeviceTag) -> bool {
-        self.info.borrow().device_tag.as_deref() == Some(tag.as_str())
+        self.info.borrow().device_tag.as_ref() == Some(&tag.text())
     }
 }
 

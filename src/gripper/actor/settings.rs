@@ -148,7 +148,7 @@ fn change_of(data: &Data) -> Option<SettingChange> {
         Data::SoftLimits(limits) => {
             SettingChange::SoftLimits { minus_mm: limits.minus().mm(), plus_mm: limits.plus().mm() }
         }
-        Data::DeviceTag(tag) => SettingChange::DeviceTag { tag: tag.as_str().to_owned() },
+        Data::DeviceTag(tag) => SettingChange::DeviceTag { tag: tag.text() },
         _ => return None,
     })
 }

@@ -137,7 +137,8 @@ function Settings({ one }) {
     });
   };
   const hasOverdrive = one.info.value?.capabilities.includes('overdrive');
-  const isTag = /^[ -~]{0,64}$/.test(tag.value.value);
+  const isBeforeFirmware4 = Number.parseInt(one.info.value?.firmware, 10) < 4;
+  const isTag = (isBeforeFirmware4 ? /^[ -~\u00a0-\u00ff]{0,64}$/ : /^[ -~]{0,64}$/).test(tag.value.value);
   const width = widthLimits(one.info.value, null);
   const widths = (key) =>
     key === 'minus_mm'
