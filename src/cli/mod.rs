@@ -43,7 +43,8 @@ enum Command {
     /// Serve a simulated gripper on each URL, e.g. tcp://127.0.0.1:1000
     Sim {
         /// Addresses to serve: tcp://127.0.0.1:1000, udp://127.0.0.1:1500?reply_port=1501,
-        /// serial://pty?baud=115200&link=/tmp/gripper, can://vcan0?rx=0x64&tx=0x65
+        /// serial://pty?baud=115200&link=/tmp/gripper, can://vcan0?rx=0x64&tx=0x65. Options of one gripper can follow, e.g.
+        /// tcp://127.0.0.1:1000?part_mm=20
         #[arg(required = true, value_name = "URL")]
         urls: Vec<Url>,
         /// Gripper model: wsg25, wsg32, wsg50 or wsg70
@@ -177,8 +178,8 @@ fn check(flags: &Flags) -> anyhow::Result<()> {
     let config = Config::load(flags)?;
     daemon::check(&config)?;
     daemon::check_files(&config)?;
-    for warning in &config.warnings {
     daemon::runtime()?.block_on(daemon::check_devices(&config))?;
+    for warning in &config.warnings {
         let _ = writeln!(std::io::stderr(), "warning: {warning}");
     }
     quietly(writeln!(std::io::stdout(), "configuration valid: {}", config.summary()))

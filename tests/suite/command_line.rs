@@ -45,6 +45,17 @@ async fn wrong_argument_is_named_with_a_remedy() {
         (&["--gripper", "g=can://can0?tx=0x800"], "0x0 to 0x7FF"),
         (&["sim", "serial://ttyUSB0"], "serial://pty"),
         (&["sim", "udp://127.0.0.1:0?reply_port=0"], "1 to 65535"),
+        (&["sim", "tcp://127.1:0"], "not a plain IPv4 address"),
+        (&["sim", "udp://192.168.001.020"], "without leading zeros"),
+        (&["sim", "tcp://127.0.0.1:0?colour=red"], "unknown option colour: use part_mm"),
+        (&["sim", "udp://127.0.0.1:0?part_mm=500"], "part_mm is \"500\"; it must be a width from 0 to 110"),
+        (&["sim", "udp://127.0.0.1:0?colour=red"], "options of udp: reply_port"),
+        (&["decode", "--follow", "http://127.1:8080"], "not a plain IPv4 address"),
+        (&["reload", "--url", "http://192.168.001.020/"], "without leading zeros"),
+        (&["discover", "--subnet", "192.168.001.0/24"], "--subnet"),
+        (&["init", "--listen", "127.1:8443", "nowhere"], "--listen"),
+        (&["init", "--host", "127.1", "nowhere"], "not a plain IPv4 address"),
+        (&["sim", "tcp://127.0.0.1:0", "--control", "127.1:0"], "--control"),
         (&["sim", "tcp://127.0.0.1:0", "--control", "0.0.0.0:0"], "loopback"),
         (&["--gripper", "Left=sim://wsg50"], "a-z"),
         (&["--gripper", "a=sim://wsg50", "--gripper", "a=sim://wsg50"], "give each its own"),
@@ -103,6 +114,15 @@ async fn check_prints_a_summary_or_the_wrong_line() {
         let said = refused(&["check", "--config", &wrong]).await;
         assert!(said.contains(&format!("wrong.toml:{line}:")), "{text:?}: {said}");
     }
+}
+
+#[tokio::test]
+async fn check_finds_a_device_under_two_names() {
+    let one = "left=tcp://localhost:1000";
+    let said = refused(&["check", "--gripper", one, "--gripper", "right=tcp://127.0.0.1:1000"]).await;
+    assert!(said.contains("left and right cannot both be served: both are at tcp://127.0.0.1:1000"), "{said}");
+    let ended = run(&["check", "--gripper", one, "--gripper", "right=tcp://no-such-host.invalid:1000"]).await;
+    assert!(ended.status.success(), "a host that is unknown now is no mistake: {ended:?}");
 }
 
 #[tokio::test]

@@ -23,6 +23,8 @@ use crate::transport::{Options, Pacer, Pipe, SerialAddress};
 
 const DEFAULT_BAUD: u32 = 115_200;
 
+pub(super) const OPTIONS: [&str; 2] = ["baud", "link"];
+
 /// Directory of ptys.
 const PTYS: &str = "/dev/pts";
 
@@ -50,7 +52,7 @@ impl PtySource {
     /// Opens a pty as in `serial://pty?baud=115200&link=/tmp/gripper`.
     pub(super) fn new(url: &Url) -> anyhow::Result<Self> {
         ensure!(url.host_str() == Some("pty"), "a simulated device can only be on a pty: write serial://pty");
-        let options = Options::of(url, &["baud", "link"]).map_err(anyhow::Error::msg)?;
+        let options = Options::of(url, &OPTIONS).map_err(anyhow::Error::msg)?;
         let baud = options.number("baud", 1200..=460_800).map_err(anyhow::Error::msg)?.unwrap_or(DEFAULT_BAUD);
         let link = options.text("link").map(PathBuf::from);
         let mut socket = Self { baud, link, next: None, name: String::new() };

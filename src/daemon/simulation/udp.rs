@@ -18,6 +18,8 @@ use crate::transport::{Options, Pipe, UdpAddress};
 const DEFAULT_PORT: u16 = 1500;
 const DEFAULT_REPLY_PORT: u16 = 1501;
 
+pub(super) const OPTIONS: [&str; 1] = ["reply_port"];
+
 /// The socket that the device listens on.
 pub(super) struct Endpoint {
     socket: Arc<UdpSocket>,
@@ -27,7 +29,7 @@ pub(super) struct Endpoint {
 impl Endpoint {
     /// Binds the socket of `udp://127.0.0.1:1500?reply_port=1501`.
     pub(super) async fn new(url: &Url) -> anyhow::Result<Self> {
-        let options = Options::of(url, &["reply_port"]).map_err(anyhow::Error::msg)?;
+        let options = Options::of(url, &OPTIONS).map_err(anyhow::Error::msg)?;
         let reply_port = options.port("reply_port").map_err(anyhow::Error::msg)?.unwrap_or(DEFAULT_REPLY_PORT);
         let host = url.host_str().unwrap_or_default().trim_start_matches('[').trim_end_matches(']');
         let socket = UdpSocket::bind((host, url.port().unwrap_or(DEFAULT_PORT))).await;

@@ -31,8 +31,21 @@ pub(super) enum Wire {
 }
 
 impl Wire {
+    /// Options of a transport in a URL of `wsg-gateway sim`.
+    pub(super) fn options(scheme: &str) -> &'static [&'static str] {
+        match scheme {
+            "udp" => &udp::OPTIONS,
+            "serial" => &pty::OPTIONS,
+            "can" => &CanAddress::OPTIONS,
+            _ => &[],
+        }
+    }
+
     /// Creates the wire for a URL of `wsg-gateway sim`.
     pub(super) async fn new(url: &Url) -> anyhow::Result<Self> {
+        if let ("tcp" | "udp", Some(Host::Domain(name))) = (url.scheme(), url.host()) {
+            check_host(name).with_context(|| format!("{url} cannot be served"))?;
+        }
         let wire = match url.scheme() {
             "tcp" => listen(url).await,
             "udp" => udp::Endpoint::new(url).await.map(Self::Udp),
@@ -43,9 +56,6 @@ impl Wire {
                     Address::Can(address.clone()).connect().await.map(|_| Self::Can(address)).map_err(Into::into)
                 }
                 other => Err(anyhow!("{other} is not a CAN address")),
-        if let ("tcp" | "udp", Some(Host::Domain(name))) = (url.scheme(), url.host()) {
-            check_host(name).with_context(|| format!("{url} cannot be served"))?;
-        }
             },
             scheme => Err(anyhow!("unknown transport {scheme:?}: use tcp, udp, serial or can")),
         };

@@ -66,8 +66,11 @@ pub struct CanAddress {
 }
 
 impl CanAddress {
+    /// Options in a URL.
+    pub const OPTIONS: [&str; 3] = ["tx", "rx", "bitrate"];
+
     pub(super) fn parse(url: &Url) -> Result<Self, String> {
-        let options = Options::of(url, &["tx", "rx", "bitrate"])?;
+        let options = Options::of(url, &Self::OPTIONS)?;
         let interface = url.host_str().unwrap_or_default();
         // IFNAMSIZ, including the terminating NUL.
         if interface.is_empty() || interface.len() > 15 || !matches!(url.path(), "" | "/") || url.port().is_some() {
