@@ -14,12 +14,23 @@ fn urls_survive_a_round_trip() {
         ("udp://[fe80::1%2]", "udp://[fe80::1%252]:1500?local_port=1501"),
         ("serial:///dev/ttyUSB0", "serial:///dev/ttyUSB0?baud=115200&stop_bits=1"),
         ("serial:///dev/ttyS1?stop_bits=2&baud=9600", "serial:///dev/ttyS1?baud=9600&stop_bits=2"),
+        ("serial:///dev/Prüfplatz 3", "serial:///dev/Pr%C3%BCfplatz%203?baud=115200&stop_bits=1"),
+        ("serial:///dev/Pr%C3%BCfplatz%203", "serial:///dev/Pr%C3%BCfplatz%203?baud=115200&stop_bits=1"),
+        ("serial:///dev/a%3Fb%23c%25d?baud=9600", "serial:///dev/a%3Fb%23c%25d?baud=9600&stop_bits=1"),
         ("can://can0", "can://can0?tx=0x64&rx=0x65"),
         ("can://vcan1?tx=1024&rx=0x7FF&bitrate=1000000", "can://vcan1?tx=0x400&rx=0x7ff&bitrate=1000000"),
     ] {
         let address: Address = text.parse().unwrap();
         assert_eq!(address.to_string(), written);
         assert_eq!(address.to_string().parse::<Address>().unwrap(), address);
+    }
+}
+
+#[test]
+fn serial_path_is_decoded() {
+    for text in ["serial:///dev/Prüfplatz 3?baud=9600", "serial:///dev/Pr%C3%BCfplatz%203?baud=9600"] {
+        let Ok(Address::Serial(address)) = text.parse() else { panic!("{text}") };
+        assert_eq!(address.path, "/dev/Prüfplatz 3");
     }
 }
 
@@ -45,17 +56,6 @@ fn errors_name_mistake_and_remedy() {
     mistake("udp://239.1.2.3:1500", &["239.1.2.3 is a multicast address"]);
     mistake("udp://[ff02::1]", &["ff02::1 is a multicast address"]);
     mistake("udp://255.255.255.255", &["255.255.255.255 is the broadcast address"]);
-    mistake("serial://ttyUSB0", &["three slashes", "serial:///dev/ttyUSB0"]);
-    mistake("serial:///", &["port is missing"]);
-    mistake("serial:ttyUSB0", &["port is missing"]);
-    mistake("can://", &["can0"]);
-    mistake("can://an-interface-with-a-long-name", &["interface is missing or invalid"]);
-}
-
-#[test]
-fn option_errors_name_allowed_values() {
-    mistake("tcp://host:1000?baud=9600", &["\"baud\"", "known options: none"]);
-    mistake("udp://host?port=1", &["\"port\"", "local_port"]);
     mistake("tcp://0.0.0.0", &["0.0.0.0 is the unspecified address", "tcp://192.168.1.20:1000"]);
     for host in ["192.168.001.020", "127.1", "0x7f.0.0.8", "2130706440", "192.168.1.300"] {
         mistake(&format!("tcp://{host}:1000"), &[host, "not a plain IPv4 address", "without leading zeros"]);
@@ -64,6 +64,19 @@ fn option_errors_name_allowed_values() {
     mistake("tcp://[fe80::1]:1000", &["link-local", "[fe80::1%25eth0]"]);
     mistake("udp://[2001:db8::1%25eth0]", &["not a link-local address", "leave out the zone %eth0"]);
     mistake("tcp://[fe80::1%25a/b]", &["\"a/b\" is not the name of a network interface"]);
+    mistake("serial://ttyUSB0", &["three slashes", "serial:///dev/ttyUSB0"]);
+    mistake("serial:///", &["port is missing"]);
+    mistake("serial:ttyUSB0", &["port is missing"]);
+    mistake("serial:///dev/a%00b", &["not UTF-8 text"]);
+    mistake("serial:///dev/Pr%FCf", &["not UTF-8 text"]);
+    mistake("can://", &["can0"]);
+    mistake("can://an-interface-with-a-long-name", &["interface is missing or invalid"]);
+}
+
+#[test]
+fn option_errors_name_allowed_values() {
+    mistake("tcp://host:1000?baud=9600", &["\"baud\"", "known options: none"]);
+    mistake("udp://host?port=1", &["\"port\"", "local_port"]);
     mistake("udp://host?local_port=0", &["local_port=0", "1 to 65535"]);
     mistake("udp://host?local_port=1&local_port=2", &["local_port is given twice"]);
     mistake("serial:///dev/ttyS0?baud=12345", &["baud=12345", "1200", "460800"]);

@@ -4,6 +4,8 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 
+use url::Url;
+
 /// Limit of listed names, so that the list does not bury the rest of the message.
 const MAX_LISTED: usize = 12;
 
@@ -27,9 +29,15 @@ pub fn available() -> Vec<String> {
     let mut seen = BTreeSet::new();
     let ports = ports(Path::new("/dev"), Path::new("/sys/class/tty")).into_iter();
     let ports = ports.filter(|port| fs::canonicalize(port).is_ok_and(|device| seen.insert(device)));
-    let ports = ports.map(|port| format!("serial://{port}"));
+    let ports = ports.map(|port| serial_url(&port));
     let interfaces = names(Path::new(INTERFACES)).into_iter().filter(|name| is_can(name) && is_up(name));
     ports.chain(interfaces.map(|name| format!("can://{name}"))).collect()
+}
+
+/// URL of a serial port, with special characters percent-encoded.
+pub(super) fn serial_url(path: &str) -> String {
+    let file = Url::from_file_path(path);
+    format!("serial://{}", file.as_ref().map_or(path, Url::path))
 }
 
 /// E.g. "available: /dev/ttyUSB0, /dev/ttyS0".

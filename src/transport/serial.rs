@@ -5,13 +5,17 @@
 //! ends only when the line has drained, and a flush after each frame keeps at most one frame in the kernel.
 
 use std::fmt;
+use std::fs;
 use std::io;
+use std::os::fd::OwnedFd;
 use std::path::Path;
 use std::pin::Pin;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::task::{Context, Poll, ready};
 use std::time::Duration;
 
+use rustix::fs::{Mode, OFlags, open};
+use rustix::termios::ioctl_tiocnxcl;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::runtime::Handle;
 use tokio_serial::{ClearBuffer, DataBits, FlowControl, Parity, SerialPort, SerialStream, StopBits};
@@ -26,6 +30,9 @@ const DEFAULT_BAUD: u32 = 115_200;
 
 /// A USB adapter buffers received bytes for 16 ms, and a busy host adds to the delay.
 const FRAME_GAP: Duration = Duration::from_millis(100);
+
+/// Directory of pseudo terminals.
+const PTYS: &str = "/dev/pts";
 
 /// Shortest interval between checks whether the kernel's buffer is empty.
 const MIN_CHECK_INTERVAL: Duration = Duration::from_millis(1);
@@ -50,13 +57,13 @@ impl SerialAddress {
         if url.has_host() && url.host_str().is_some_and(|host| !host.is_empty()) {
             return Err("a serial port is an absolute path: write three slashes".to_owned());
         }
-        let path = url.path();
-        if !path.starts_with('/') || path.len() < 2 || path.contains('%') {
-            return Err("the serial port is missing: expected an absolute path without special characters".to_owned());
+        let path = decoded_path(url)?;
+        if path.len() < 2 {
+            return Err("the serial port is missing: expected an absolute path".to_owned());
         }
         let baud = options.one_of("baud", &Self::BAUDS)?.unwrap_or(DEFAULT_BAUD);
         let stop_bits = options.one_of("stop_bits", &[1, 2])?.unwrap_or(1) as u8;
-        Ok(Self { path: path.to_owned(), baud, stop_bits })
+        Ok(Self { path, baud, stop_bits })
     }
 
     /// Line rate: a byte takes a start bit, 8 data bits and the stop bits.
@@ -104,7 +111,15 @@ impl SerialAddress {
             .parity(Parity::None)
             .stop_bits(stop_bits)
             .flow_control(FlowControl::None);
+        // Opened before the port becomes exclusive.
+        let pty =
+            is_pty(&self.path).then(|| open_quietly(&self.path)).transpose().map_err(|error| self.explain(&error))?;
         let stream = SerialStream::open(&builder).map_err(|error| self.explain(&error.into()))?;
+        if let Some(pty) = pty {
+            // A pty would stay exclusive after a SIGKILL, as long as the program at its other end runs. The lock of the
+            // file (flock) is enough, and ends with this process.
+            let _ = ioctl_tiocnxcl(&pty);
+        }
         // Old input is half a frame at best. If clearing it fails, as on a pty, the decoder resynchronises.
         let _ = stream.clear(ClearBuffer::Input);
         Ok(stream)
@@ -112,6 +127,8 @@ impl SerialAddress {
 
     fn explain(&self, error: &io::Error) -> io::Error {
         let path = &self.path;
+        let busy = [io::ErrorKind::NotFound, io::ErrorKind::WouldBlock, io::ErrorKind::ResourceBusy];
+        let is_busy = busy.contains(&error.kind());
         let detail = if error.kind() == io::ErrorKind::PermissionDenied {
             format!(
                 "no permission to open {path} ({error}): add the gateway's user to the group of the port, usually \
@@ -119,7 +136,12 @@ impl SerialAddress {
             )
         } else if !Path::new(path).exists() {
             format!("{path} does not exist; {}", present::serial_ports())
-        } else if error.kind() == io::ErrorKind::NotFound || error.kind() == io::ErrorKind::WouldBlock {
+        } else if is_busy && is_pty(path) {
+            format!(
+                "{path} is in use ({error}): close the other program. If none uses it, a killed program has left this pseudo \
+                 terminal exclusive: restart the program that provides it, such as socat"
+            )
+        } else if is_busy {
             format!("{path} is in use ({error}): close the other program")
         } else {
             format!("{path} cannot be opened ({error}); {}", present::serial_ports())
@@ -130,8 +152,31 @@ impl SerialAddress {
 
 impl fmt::Display for SerialAddress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "serial://{}?baud={}&stop_bits={}", self.path, self.baud, self.stop_bits)
+        write!(f, "{}?baud={}&stop_bits={}", present::serial_url(&self.path), self.baud, self.stop_bits)
     }
+}
+
+/// Path of a URL, with percent-encoded bytes decoded. Empty if it is not absolute.
+fn decoded_path(url: &Url) -> Result<String, String> {
+    if !url.path().starts_with('/') {
+        return Ok(String::new());
+    }
+    // Only for file URLs does the URL crate decode paths.
+    let mut file = Url::parse("file:///").map_err(|error| error.to_string())?;
+    file.set_path(url.path());
+    let path = file.to_file_path().ok().and_then(|path| path.into_os_string().into_string().ok());
+    let path = path.filter(|path| !path.contains('\0'));
+    path.ok_or_else(|| "the path of the serial port is not UTF-8 text; percent-encode its UTF-8 bytes".to_owned())
+}
+
+/// Whether a port is a pseudo terminal.
+fn is_pty(path: &str) -> bool {
+    fs::canonicalize(path).is_ok_and(|path| path.starts_with(PTYS))
+}
+
+/// Opens a port without waiting for a carrier, and without making it the terminal of this process.
+fn open_quietly(path: &str) -> io::Result<OwnedFd> {
+    Ok(open(path, OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC, Mode::empty())?)
 }
 
 /// An open port. Closing it can block for seconds, while an adapter sends what it still has, so a thread of its own

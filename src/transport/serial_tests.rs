@@ -62,6 +62,30 @@ async fn port_is_opened_exclusively() {
     address(path, 9600).connect().await.unwrap();
 }
 
+/// After a SIGKILL, nothing else would end the exclusive access to a pty.
+#[tokio::test]
+async fn pty_is_locked_but_not_exclusive() {
+    let (_master, path) = pty();
+    // Exclusive access holds for unprivileged users.
+    let uid = if rustix::process::geteuid().is_root() { 65_534 } else { rustix::process::geteuid().as_raw() };
+    std::os::unix::fs::chown(&path, Some(uid), None).unwrap();
+    let _open = address(path.clone(), 9600).connect().await.unwrap();
+    let mut shell = std::process::Command::new("sh");
+    std::os::unix::process::CommandExt::uid(&mut shell, uid);
+    let opened = shell.arg("-c").arg(format!("exec 3<>{path}")).output().unwrap();
+    assert!(opened.status.success(), "{opened:?}");
+}
+
+#[tokio::test]
+async fn busy_pty_error_names_remedy() {
+    let (_master, path) = pty();
+    let link = std::env::temp_dir().join(format!("wsg busy {}", std::process::id())).display().to_string();
+    std::os::unix::fs::symlink(&path, &link).unwrap();
+    let error = address(link.clone(), 9600).explain(&io::ErrorKind::ResourceBusy.into()).to_string();
+    std::fs::remove_file(&link).unwrap();
+    assert!(error.contains("is in use") && error.contains("restart the program that provides it"), "{error}");
+}
+
 #[tokio::test]
 async fn unplugged_adapter_gives_error_with_port_name() {
     let (master, path) = pty();
