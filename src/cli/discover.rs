@@ -8,6 +8,7 @@ use ipnet::IpNet;
 
 use crate::daemon;
 use crate::doctor::discover::SearchPlan;
+use crate::transport::host::check_network;
 
 /// TCP port that devices listen on (field practice).
 const DEVICE_PORT: u16 = 1000;
@@ -15,7 +16,7 @@ const DEVICE_PORT: u16 = 1000;
 #[derive(Debug, Args)]
 pub(super) struct DiscoverArgs {
     /// Network to search, e.g. 192.168.1.0/24 (repeatable)
-    #[arg(long = "subnet", value_name = "NETWORK")]
+    #[arg(long = "subnet", value_name = "NETWORK", value_parser = parse_subnet)]
     subnets: Vec<IpNet>,
     /// TCP port of the grippers
     #[arg(long, value_name = "PORT", default_value_t = DEVICE_PORT)]
@@ -26,6 +27,12 @@ pub(super) struct DiscoverArgs {
     /// Contact the devices without asking
     #[arg(long)]
     yes: bool,
+}
+
+fn parse_subnet(text: &str) -> anyhow::Result<IpNet> {
+    let network = text.parse()?;
+    check_network(text)?;
+    Ok(network)
 }
 
 pub(super) fn run(arguments: &DiscoverArgs) -> anyhow::Result<()> {

@@ -5,6 +5,7 @@ use std::net::IpAddr;
 use ipnet::IpNet;
 
 use super::{ConfigError, ConfigPlace};
+use crate::transport::host::check_network;
 
 /// Parses a list of allowed networks.
 pub(super) fn parse_networks(key: &str, texts: &[String], place: &ConfigPlace) -> Result<Vec<IpNet>, ConfigError> {
@@ -21,6 +22,7 @@ pub(super) fn parse_network(text: &str) -> Result<IpNet, String> {
         .parse()
         .or_else(|_| text.parse::<IpAddr>().map(IpNet::from))
         .map_err(|_| format!("{text:?} is neither an address nor a network: write 192.168.1.10 or 192.168.1.0/24"))?;
+    check_network(text).map_err(|error| format!("a network has the address {error}"))?;
     // It looks like one address, but would admit the whole network.
     if network.addr() != network.network() {
         let (address, network) = (network.addr(), network.trunc());

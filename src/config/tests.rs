@@ -292,6 +292,7 @@ fn host_must_be_a_plain_address_everywhere() {
             gripper(&format!("wsg_port = \"tcp://{host}:1000\"")),
             gripper(&format!("wsg_port = \"udp://{host}:1500\"")),
             gripper(&format!("wsg_port_allow = [\"{host}\"]")),
+            gripper(&format!("wsg_port_allow = [\"{host}/32\"]")),
         ] {
             let error = file(&text).map(|_| ()).expect_err(&text).to_string();
             let is_placed = error.starts_with("gateway.toml:");

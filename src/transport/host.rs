@@ -26,16 +26,25 @@ pub enum InvalidWebUrl {
 pub struct InvalidHost(String);
 
 /// Checks a host name or an IPv4 address. The system's resolver reads `192.168.001.020` as 192.168.1.16 and `127.1` as
-/// 127.0.0.1, so what ends in a number must be a plain address.
+/// 127.0.0.1, so what ends in a number must be a plain address. IPv6 addresses have one reading only.
 ///
 /// # Errors
 /// [`InvalidHost`].
 pub fn check_host(host: &str) -> Result<(), InvalidHost> {
     let last_label = host.trim_end_matches('.').rsplit('.').next().unwrap_or_default();
-    if is_number(last_label) && host.parse::<Ipv4Addr>().is_err() {
+    let is_ipv6 = host.contains(':');
+    if !is_ipv6 && is_number(last_label) && host.parse::<Ipv4Addr>().is_err() {
         return Err(InvalidHost(host.to_owned()));
     }
     Ok(())
+}
+
+/// Checks the address of a network. The parser of networks takes leading zeros, which others read as octal.
+///
+/// # Errors
+/// [`InvalidHost`].
+pub fn check_network(text: &str) -> Result<(), InvalidHost> {
+    check_host(text.split('/').next().unwrap_or_default())
 }
 
 /// Whether a label of a host is a decimal or a hexadecimal number (WHATWG URL, "ends in a number").

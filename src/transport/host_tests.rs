@@ -28,6 +28,15 @@ fn host_that_looks_like_an_address_must_be_one() {
 }
 
 #[test]
+fn network_has_a_plain_address() {
+    let error = check_network("192.168.010.0/24").unwrap_err().to_string();
+    assert!(error.contains("\"192.168.010.0\"") && error.contains("without leading zeros"), "{error}");
+    for network in ["192.168.10.0/24", "10.0.0.7", "2001:db8::/32", "::1", "::ffff:192.168.1.10"] {
+        assert_eq!(check_network(network), Ok(()), "{network}");
+    }
+}
+
+#[test]
 fn web_url_has_its_host_as_written() {
     for host in NOT_PLAIN.into_iter().chain(["１２７.0.0.1", "127.0.0.%31"]) {
         for url in [format!("http://{host}"), format!("https://{host}:8443/a?b#c"), format!("http://me@{host}/")] {

@@ -52,7 +52,7 @@ async fn wrong_argument_is_named_with_a_remedy() {
         (&["sim", "udp://127.0.0.1:0?colour=red"], "options of udp: reply_port"),
         (&["decode", "--follow", "http://127.1:8080"], "not a plain IPv4 address"),
         (&["reload", "--url", "http://192.168.001.020/"], "without leading zeros"),
-        (&["discover", "--subnet", "192.168.001.0/24"], "--subnet"),
+        (&["discover", "--subnet", "192.168.001.0/24"], "without leading zeros"),
         (&["init", "--listen", "127.1:8443", "nowhere"], "--listen"),
         (&["init", "--host", "127.1", "nowhere"], "not a plain IPv4 address"),
         (&["sim", "tcp://127.0.0.1:0", "--control", "127.1:0"], "--control"),
