@@ -240,6 +240,12 @@ impl Driver {
             }
         };
         let was_set_up = self.actor.is_set_up();
+        let cause = match link.pipe.stranger.get() {
+            Some(stranger) if !was_set_up => {
+                format!("{cause}; datagrams came from {stranger} instead: check the address of the gripper")
+            }
+            _ => cause,
+        };
         let ended = Now::read();
         self.actor.link_down(ended, &cause);
         was_set_up && ended.instant >= begun.instant + HELD_FOR

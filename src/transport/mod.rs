@@ -15,6 +15,8 @@ mod tcp;
 mod udp;
 
 use std::fmt;
+use std::net::IpAddr;
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 use tokio::io::{AsyncRead, AsyncWrite};
@@ -42,6 +44,8 @@ pub struct Pipe {
     pub writer: Box<dyn AsyncWrite + Send + Unpin>,
     /// Discards the bytes that the operating system has not sent yet, when the pipe is closed; `None` if there are none.
     pub discard_unsent: Option<Box<dyn Fn() + Send + Sync>>,
+    /// First other address that bytes came from. They are ignored; the address helps to find a wrong configuration.
+    pub stranger: Arc<OnceLock<IpAddr>>,
 }
 
 impl Pipe {
@@ -51,7 +55,7 @@ impl Pipe {
         reader: impl AsyncRead + Send + Unpin + 'static,
         writer: impl AsyncWrite + Send + Unpin + 'static,
     ) -> Self {
-        Self { reader: Box::new(reader), writer: Box::new(writer), discard_unsent: None }
+        Self { reader: Box::new(reader), writer: Box::new(writer), discard_unsent: None, stranger: Arc::default() }
     }
 }
 

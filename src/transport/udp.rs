@@ -7,8 +7,8 @@
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::pin::Pin;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::task::{Context, Poll, ready};
 use std::time::Duration;
 
@@ -89,8 +89,15 @@ impl UdpAddress {
         let device = self.choose(addresses.iter().copied()).await?;
         let socket = UdpSocket::bind((any(device), self.local_port)).await.map_err(|error| self.explain(&error))?;
         let socket = Arc::new(socket);
-        let reader = Datagrams { socket: socket.clone(), device: device.ip(), datagram: Vec::new(), taken: 0 };
-        Ok(Pipe::new(reader, Sender { socket, device }))
+        let stranger = Arc::<OnceLock<IpAddr>>::default();
+        let reader = Datagrams {
+            socket: socket.clone(),
+            device: device.ip(),
+            datagram: Vec::new(),
+            taken: 0,
+            stranger: stranger.clone(),
+        };
+        Ok(Pipe { stranger, ..Pipe::new(reader, Sender { socket, device }) })
     }
 
     /// Chooses the next usable address of the host at each attempt, because UDP reports no failed connection.
@@ -147,6 +154,8 @@ struct Datagrams {
     /// Newest datagram; its first `taken` bytes have been read.
     datagram: Vec<u8>,
     taken: usize,
+    /// First other address that a datagram came from.
+    stranger: Arc<OnceLock<IpAddr>>,
 }
 
 impl AsyncRead for Datagrams {
@@ -166,6 +175,7 @@ impl AsyncRead for Datagrams {
             this.datagram.truncate(if believed { bytes } else { 0 });
             let sender = ready!(received)?;
             if !believed {
+                this.stranger.get_or_init(|| sender.ip().to_canonical());
                 tracing::debug!(%sender, device = %this.device, "ignored datagram from another address");
             }
         }
@@ -247,6 +257,7 @@ mod tests {
         let mut buffer = [0; 100];
         let bytes = pipe.reader.read(&mut buffer).await.unwrap();
         assert_eq!(&buffer[..bytes], b"true");
+        assert_eq!(pipe.stranger.get().unwrap().to_string(), "127.0.0.2");
     }
 
     #[tokio::test]

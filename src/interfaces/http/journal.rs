@@ -8,7 +8,7 @@ use axum::http::{HeaderMap, Uri, header};
 use axum::response::{IntoResponse, Response};
 use headers_accept::Accept;
 use mediatype::{MediaType, names};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use url::form_urlencoded;
 use utoipa::{IntoParams, ToSchema};
 use uuid::Uuid;
@@ -87,14 +87,23 @@ async fn samples(context: &HttpContext, id: &str) -> Result<(CommandId, Vec<Samp
     Ok((id, context.gateway.journal.curve(id).await?.ok_or_else(no_such_grip)?))
 }
 
+/// The part of a grip record that belongs to its curve.
+#[derive(Default, Deserialize)]
+struct MeasuredRecord {
+    measured_at: Option<String>,
+}
+
 /// A curve, column by column.
 #[derive(Serialize, ToSchema)]
-#[schema(example = json!({"id": "019aa5c8-5a70-7c31-9f3f-4a3b7c1d2e4f", "t_ms": [0, 10], "width_mm": [60.0, 59.5],
-    "speed_mm_s": [0.0, -50.0], "force_n": [0.0, 0.0]}))]
+#[schema(example = json!({"id": "019aa5c8-5a70-7c31-9f3f-4a3b7c1d2e4f", "measured_at": "2026-11-29T10:30:00.123456Z",
+    "t_ms": [0, 10], "width_mm": [60.0, 59.5], "speed_mm_s": [0.0, -50.0], "force_n": [0.0, 0.0]}))]
 pub struct Curve {
     /// The command's id.
     #[schema(value_type = uuid::Uuid)]
     id: CommandId,
+    /// Time at which the frame of the first sample arrived, in UTC with microseconds; null in older records.
+    #[schema(required, format = DateTime)]
+    measured_at: Option<String>,
     /// Time since the first sample, in ms.
     t_ms: Vec<u32>,
     /// The opening width in mm.
@@ -271,9 +280,12 @@ pub async fn curve(
         return curve_csv(Shared(context), Path(id)).await;
     }
     let (id, samples) = samples(&context, &id).await?;
+    let record = context.gateway.journal.grip(id).await?.ok_or_else(no_such_grip)?;
+    let MeasuredRecord { measured_at } = serde_json::from_str(&record).unwrap_or_default();
     let column = |value: fn(&Sample) -> f32| samples.iter().map(value).collect();
     let curve = Curve {
         id,
+        measured_at,
         t_ms: samples.iter().map(|sample| sample.t_ms).collect(),
         width_mm: column(|sample| sample.width_mm),
         speed_mm_s: column(|sample| sample.speed_mm_s),
