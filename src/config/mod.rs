@@ -39,7 +39,7 @@ pub use access::{AccessConfig, Guarded, TlsConfig, TlsPlaces};
 pub use file::File;
 pub use journal::{JournalConfig, JournalFlags, JournalPlace};
 pub use modbus::Modbus;
-pub use wsg_port::{AcknowledgePolicy, WsgAddress, WsgPort};
+pub use wsg_port::{AcknowledgePolicy, LimitsPolicy, WsgAddress, WsgPort};
 pub use zenoh::{Zenoh, ZenohFlags, ZenohMode};
 
 /// Default address of HTTP.
@@ -492,6 +492,9 @@ struct GripperContent {
     #[serde(default)]
     wsg_port_acknowledge: AcknowledgePolicy,
     wsg_port_checksum_evaluation: Option<bool>,
+    #[serde(default)]
+    wsg_port_limits: wsg_port::LimitsWord,
+    wsg_port_max_force_n: Option<Spanned<f64>>,
     modbus_unit: Option<Spanned<u64>>,
 }
 

@@ -30,7 +30,7 @@ const MDNS_PORT: u16 = 5353;
 const LOST_AFTER_MS: RangeInclusive<u32> = 100..=60_000;
 
 /// The WSG port of one gripper.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct WsgPort {
     /// Addresses that the port is served on, with their places in the configuration.
     pub addresses: Vec<(WsgAddress, ConfigPlace)>,
@@ -41,6 +41,8 @@ pub struct WsgPort {
     pub acknowledge: AcknowledgePolicy,
     /// Whether the checksums of requests are checked.
     pub checksum_evaluation: bool,
+    /// Settings that clients may change.
+    pub limits: LimitsPolicy,
 }
 
 impl Default for WsgPort {
@@ -50,6 +52,7 @@ impl Default for WsgPort {
             allow: Vec::new(),
             acknowledge: AcknowledgePolicy::default(),
             checksum_evaluation: true,
+            limits: LimitsPolicy::default(),
         }
     }
 }
@@ -152,6 +155,47 @@ pub enum AcknowledgePolicy {
     Any,
 }
 
+/// Limits of the gripper that clients may change. Existing drivers set the force limit at each start, so by default they
+/// may change all of them, like on the gripper itself.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum LimitsPolicy {
+    /// All of them.
+    #[default]
+    Open,
+    /// No soft limits, no Overdrive Mode, and no force limit above the given one. Without one, no force limit.
+    Fixed { max_force_n: Option<f32> },
+}
+
+/// Value of `wsg_port_limits`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum LimitsWord {
+    #[default]
+    Open,
+    Fixed,
+}
+
+/// Returns the limits that clients may change, by the keys of a gripper.
+fn limits(file: &File, gripper: &GripperContent) -> Result<LimitsPolicy, ConfigError> {
+    let Some(max_force_n) = &gripper.wsg_port_max_force_n else {
+        return Ok(match gripper.wsg_port_limits {
+            LimitsWord::Open => LimitsPolicy::Open,
+            LimitsWord::Fixed => LimitsPolicy::Fixed { max_force_n: None },
+        });
+    };
+    // Like the forces on the line.
+    let force_n = *max_force_n.get_ref() as f32;
+    let detail = if !force_n.is_finite() || force_n <= 0.0 {
+        format!("wsg_port_max_force_n is {force_n}; it must be a force in N above 0")
+    } else if gripper.wsg_port_limits == LimitsWord::Open {
+        "wsg_port_max_force_n has no effect while clients may change all limits: add wsg_port_limits = \"fixed\""
+            .to_owned()
+    } else {
+        return Ok(LimitsPolicy::Fixed { max_force_n: Some(force_n) });
+    };
+    Err(ConfigError::at(&file.place(max_force_n.span().start), detail))
+}
+
 /// One text, or several.
 #[derive(Debug, Deserialize)]
 #[serde(untagged)]
@@ -178,6 +222,7 @@ impl WsgPort {
             allow,
             acknowledge: gripper.wsg_port_acknowledge,
             checksum_evaluation: gripper.wsg_port_checksum_evaluation.unwrap_or(true),
+            limits: limits(file, gripper)?,
         })
     }
 

@@ -12,6 +12,7 @@ use super::listen;
 use crate::access::Access;
 use crate::config::Config;
 use crate::gripper::model::Name;
+use crate::interfaces::foreign::ForeignClients;
 use crate::interfaces::http::HttpContext;
 use crate::interfaces::metrics::InterfaceMetrics;
 use crate::interfaces::modbus::{self, ModbusContext, ModbusSettings};
@@ -67,7 +68,8 @@ impl BoundModbus {
         let (settings, settings_now) = watch::channel(Arc::new(settings));
         let assigned = config.modbus_units();
         let metrics = InterfaceMetrics::register(&context.registry, "modbus")?;
-        let context = ModbusContext::new(context.gateway.clone(), metrics);
+        let foreign = ForeignClients::register(&context.registry, "modbus", "Modbus TCP")?;
+        let context = ModbusContext::new(context.gateway.clone(), metrics, foreign);
         let task = runtime.spawn(modbus::serve(context, (self.listener, self.descriptors), settings_now, tokens));
         Ok(Some(ServedModbus { settings, assigned, task }))
     }

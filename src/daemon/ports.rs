@@ -8,11 +8,11 @@ use tokio_util::sync::CancellationToken;
 
 use super::listen;
 use crate::access::Access;
-use crate::config::{AcknowledgePolicy, Config, ConfigPlace, WsgAddress, WsgPort};
+use crate::config::{AcknowledgePolicy, Config, ConfigPlace, LimitsPolicy, WsgAddress, WsgPort};
 use crate::gripper::Grippers;
 use crate::gripper::model::Name;
 use crate::interfaces::metrics::WsgPortMetrics;
-use crate::interfaces::wsg_port::{self, Datagrams, LOST_AFTER, ListenAddress, Listener, Port, Rules};
+use crate::interfaces::wsg_port::{self, AllowedLimits, Datagrams, LOST_AFTER, ListenAddress, Listener, Port, Rules};
 use crate::operations::audit::Audit;
 
 /// A bound port that is not served yet.
@@ -24,7 +24,7 @@ pub(super) struct BoundPort {
 }
 
 /// The configuration of one port.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 struct ConfiguredPort {
     gripper: Name,
     address: ListenAddress,
@@ -195,5 +195,9 @@ fn rules(configured: &WsgPort) -> Rules {
         checksum_evaluation: configured.checksum_evaluation,
         acknowledge_any: configured.acknowledge == AcknowledgePolicy::Any,
         allow: configured.allow.clone(),
+        limits: match configured.limits {
+            LimitsPolicy::Open => AllowedLimits::All,
+            LimitsPolicy::Fixed { max_force_n } => max_force_n.map_or(AllowedLimits::None, AllowedLimits::ForceUpTo),
+        },
     }
 }

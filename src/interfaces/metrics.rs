@@ -3,6 +3,8 @@
 use prometheus::core::Collector;
 use prometheus::{IntCounter, IntCounterVec, IntGauge, Opts, Registry, Result};
 
+use super::foreign::ForeignClients;
+
 /// Route label of requests without a route. Clients can invent any number of paths, so the path itself is not a label.
 pub(super) const NO_ROUTE: &str = "none";
 
@@ -50,12 +52,14 @@ impl InterfaceMetrics {
 #[derive(Debug, Clone)]
 pub struct WsgPortMetrics {
     refused: IntCounterVec,
+    pub foreign: ForeignClients,
 }
 
 impl WsgPortMetrics {
     pub fn register(registry: &Registry) -> Result<Self> {
         let refused = Opts::new("wsg_port_refused_total", "Requests refused on the WSG port by gripper and status.");
-        Ok(Self { refused: register_in(registry, IntCounterVec::new(refused, &["gripper", "status"])?)? })
+        let refused = register_in(registry, IntCounterVec::new(refused, &["gripper", "status"])?)?;
+        Ok(Self { refused, foreign: ForeignClients::register(registry, "wsg", "WSG")? })
     }
 
     /// Starts the series of the commonest refusal at 0, so that the first one is an increase.

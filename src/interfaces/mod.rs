@@ -8,6 +8,7 @@ mod admission;
 mod client_stream;
 mod context;
 pub mod dashboard;
+pub mod foreign;
 pub mod http;
 pub mod metrics;
 pub mod modbus;

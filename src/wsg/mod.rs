@@ -18,6 +18,7 @@ pub mod frame;
 pub(crate) mod fuzz;
 pub mod id;
 mod missed_fast_stop;
+pub mod opening;
 mod payload;
 pub mod quantity;
 pub mod reply;
@@ -37,6 +38,7 @@ pub use device::{
     Statistics, SystemInfo, SystemLimits,
 };
 pub use frame::{ChecksumEvaluation, Frame};
+pub use opening::Opening;
 pub use quantity::{Acceleration, Force, NotFinite, Speed, Width};
 pub use reply::{Data, InvalidReply, Reply, Temperature};
 pub use state::{GripperState, SystemState};

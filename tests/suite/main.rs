@@ -16,6 +16,7 @@ mod deploy;
 mod device;
 mod fast_stop;
 mod first_grip;
+mod foreign_protocols;
 mod grip_records;
 mod guides;
 mod harness;

@@ -175,6 +175,10 @@ async fn port_keeps_its_socket_when_its_rules_change() {
     assert!(matches!(read, Ok(0) | Err(_)), "{read:?}");
     one.reload(&port("")).await;
     Driver::connect(address).await.leave().await;
+    let changes = one.reload(&port("wsg_port_limits = \"fixed\"")).await;
+    assert_eq!(changes, json!(["gripper g: WSG port changed"]));
+    let mut driver = Driver::connect(address).await;
+    assert_eq!(driver.status(0x37, &[1]).await, 16, "E_ACCESS_DENIED");
 }
 
 #[tokio::test]

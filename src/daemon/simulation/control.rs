@@ -7,8 +7,10 @@ use std::sync::Arc;
 
 use anyhow::ensure;
 use axum::body::Bytes;
-use axum::extract::{Path, State};
+use axum::extract::{Path, Request, State};
 use axum::http::StatusCode;
+use axum::middleware::{Next, from_fn};
+use axum::response::Response;
 use axum::routing::get;
 use axum::{Json, Router};
 use serde::Serialize;
@@ -16,6 +18,7 @@ use tokio::net::TcpListener;
 
 use super::super::listen::failed;
 use super::ServedDevice;
+use crate::interfaces::http::{HttpSettings, check_host_and_origin};
 use crate::sim::{Change, Part, Snapshot};
 
 /// The true state of a device, which can differ from the state that it reports.
@@ -84,8 +87,14 @@ pub(super) async fn serve(listener: TcpListener, devices: Vec<ServedDevice>) -> 
     let router = Router::new()
         .route("/devices", get(show_all))
         .route("/devices/{index}", get(show).post(change))
+        .layer(from_fn(refuse_pages))
         .with_state(Arc::new(devices));
     Ok(axum::serve(listener, router).await?)
+}
+
+/// Refuses the requests of web pages, since any page can post a change.
+async fn refuse_pages(request: Request, next: Next) -> Response {
+    check_host_and_origin(&HttpSettings::default(), request, async |request| next.run(request).await).await
 }
 
 async fn show_all(State(devices): Devices) -> Result<Json<Vec<Shown>>, Refusal> {

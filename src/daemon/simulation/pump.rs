@@ -10,6 +10,7 @@ use super::wire::Wire;
 use crate::gripper::clock;
 use crate::sim::{Change, Device, ImpossibleChange, Interface, LinkAction, ReceivedFrame, Snapshot};
 use crate::transport::Pipe;
+use crate::wsg::Opening;
 
 /// Bytes read at once.
 const READ_BYTES: usize = 4096;
@@ -106,6 +107,7 @@ struct Connection {
     /// Whether all bytes are written, but the wire is still busy with them.
     is_leaving: bool,
     incoming: Vec<u8>,
+    opening: Opening,
 }
 
 /// The result of a wait.
@@ -119,7 +121,8 @@ enum Input {
 
 impl Connection {
     fn new(pipe: Pipe) -> Self {
-        Self { pipe, outgoing: Vec::new(), written: 0, is_leaving: false, incoming: vec![0; READ_BYTES] }
+        let incoming = vec![0; READ_BYTES];
+        Self { pipe, outgoing: Vec::new(), written: 0, is_leaving: false, incoming, opening: Opening::default() }
     }
 
     fn is_written(&self) -> bool {
@@ -135,7 +138,7 @@ impl Connection {
     /// Writes or reads, whichever is ready first. Cancellation loses nothing.
     async fn transfer(&mut self) -> Input {
         let is_writing = !self.is_written();
-        let Self { pipe, outgoing, written, is_leaving, incoming } = self;
+        let Self { pipe, outgoing, written, is_leaving, incoming, .. } = self;
         tokio::select! {
             biased;
             done = async {
@@ -163,11 +166,7 @@ impl Pump {
             self.plug_in();
             self.transmit();
             match self.wait().await {
-                Input::Read(Ok(bytes)) if bytes > 0 => {
-                    if let Some(connection) = self.connection.as_ref().filter(|_| self.pulled_until.is_none()) {
-                        self.device.receive(clock::instant(), &connection.incoming[..bytes]);
-                    }
-                }
+                Input::Read(Ok(bytes)) if bytes > 0 => self.receive(bytes),
                 Input::Written(Err(_)) | Input::Read(_) => self.hang_up(),
                 Input::Deadline => self.device.handle_timeout(clock::instant()),
                 Input::Next(Some(pipe)) => self.connect(pipe),
@@ -219,6 +218,21 @@ impl Pump {
             order = self.orders.recv() => Input::Order(order),
             next = self.wire.next(), if listens => Input::Next(next),
         }
+    }
+
+    /// Passes received bytes on to the device. A program that does not speak its protocol, such as a browser, is
+    /// disconnected; on other wires than TCP, its bytes are noise.
+    fn receive(&mut self, bytes: usize) {
+        let Some(connection) = self.connection.as_mut().filter(|_| self.pulled_until.is_none()) else { return };
+        let received = connection.incoming.get(..bytes).unwrap_or_default();
+        if self.wire.interface() == Interface::Tcp && !connection.opening.accepts(received) {
+            tracing::warn!(
+                "connection to the simulated device closed: its first bytes belong to another protocol; connect a \
+                 gateway or a WSG driver"
+            );
+            return self.hang_up();
+        }
+        self.device.receive(clock::instant(), received);
     }
 
     fn connect(&mut self, pipe: Pipe) {

@@ -13,6 +13,7 @@ use url::Url;
 
 use super::super::listen::failed;
 use crate::transport::{Options, Pipe, UdpAddress};
+use crate::wsg::Opening;
 
 /// The port that devices listen on, and the port that they reply to (field practice).
 const DEFAULT_PORT: u16 = 1500;
@@ -66,12 +67,14 @@ impl AsyncRead for Receiver {
         loop {
             let before = out.filled().len();
             let sender = ready!(self.socket.poll_recv_from(cx, out))?;
+            if !Opening::begins_with_frame(out.filled().get(before..).unwrap_or_default()) {
+                // A browser can send datagrams, too. An empty one does not mean end of file.
+                out.set_filled(before);
+                continue;
+            }
             let client = SocketAddr::new(sender.ip(), self.reply_port);
             *self.client.lock().unwrap_or_else(PoisonError::into_inner) = Some(client);
-            // An empty datagram does not mean end of file.
-            if out.filled().len() > before {
-                return Poll::Ready(Ok(()));
-            }
+            return Poll::Ready(Ok(()));
         }
     }
 }

@@ -39,6 +39,7 @@ mod visitor;
 mod wait;
 
 pub use context::{API, HttpContext};
+pub use guard::check_host_and_origin;
 pub use router::openapi;
 pub use server::{Listeners, ServerLimits, listen, serve};
 pub use settings::{HttpSettings, SharedSettings};

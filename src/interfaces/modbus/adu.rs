@@ -1,6 +1,6 @@
 //! Frames of Modbus TCP (Modbus Messaging on TCP/IP Implementation Guide V1.0b): a header and a request or a response.
 
-use bytes::{Buf as _, BufMut as _, Bytes, BytesMut};
+use bytes::{Buf as _, BufMut as _, Bytes};
 use tokio_modbus::Request;
 use tokio_modbus::prelude::{ConformityLevel, ExceptionCode, ReadCode};
 use tokio_util::codec::LengthDelimitedCodec;
@@ -49,13 +49,13 @@ pub(super) fn frames() -> LengthDelimitedCodec {
 }
 
 /// Splits a frame into its header and its request, which begins with the function code.
-pub(super) fn parse(mut frame: BytesMut) -> Result<(Header, Bytes), NotModbus> {
+pub(super) fn parse(mut frame: Bytes) -> Result<(Header, Bytes), NotModbus> {
     let (transaction, protocol) = (frame.try_get_u16(), frame.try_get_u16());
     let (_length, unit) = (frame.try_get_u16(), frame.try_get_u8());
     let (Ok(transaction), Ok(0), Ok(unit), Some(&function)) = (transaction, protocol, unit, frame.first()) else {
         return Err(NotModbus);
     };
-    Ok((Header { transaction, unit, function }, frame.freeze()))
+    Ok((Header { transaction, unit, function }, frame))
 }
 
 /// Parses a request.
@@ -157,8 +157,8 @@ mod tests {
 
     use super::*;
 
-    fn frame(hex: &str) -> BytesMut {
-        BytesMut::from(&hex::decode(hex.replace(' ', "")).unwrap()[..])
+    fn frame(hex: &str) -> Bytes {
+        hex::decode(hex.replace(' ', "")).unwrap().into()
     }
 
     #[test]

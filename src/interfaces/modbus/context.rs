@@ -8,6 +8,7 @@ use tokio::sync::watch;
 
 use crate::gripper::clock;
 use crate::gripper::model::Name;
+use crate::interfaces::foreign::ForeignClients;
 use crate::interfaces::metrics::InterfaceMetrics;
 use crate::interfaces::peers::KnownPeers;
 use crate::operations::Gateway;
@@ -52,13 +53,14 @@ impl NewestSettings {
 pub struct ModbusContext {
     pub(super) gateway: Arc<Gateway>,
     pub(super) metrics: InterfaceMetrics,
+    pub(super) foreign: ForeignClients,
     started: Instant,
 }
 
 impl ModbusContext {
     #[must_use]
-    pub fn new(gateway: Arc<Gateway>, metrics: InterfaceMetrics) -> Arc<Self> {
-        Arc::new(Self { gateway, metrics, started: clock::instant() })
+    pub fn new(gateway: Arc<Gateway>, metrics: InterfaceMetrics, foreign: ForeignClients) -> Arc<Self> {
+        Arc::new(Self { gateway, metrics, foreign, started: clock::instant() })
     }
 
     /// Heartbeat of the gateway.

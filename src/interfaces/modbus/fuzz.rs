@@ -37,7 +37,7 @@ fn requests(stream: &[u8], in_pieces_of: usize) -> Vec<Result<(Header, Bytes), N
         buffer.extend_from_slice(piece);
         loop {
             match codec.decode(&mut buffer) {
-                Ok(Some(frame)) => requests.push(adu::parse(frame)),
+                Ok(Some(frame)) => requests.push(adu::parse(frame.freeze())),
                 Ok(None) => break,
                 // The connection is closed.
                 Err(_) => return requests,

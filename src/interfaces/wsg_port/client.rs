@@ -15,7 +15,7 @@ mod last_replies;
 use super::acknowledge::acknowledge;
 use super::device::{PortOrder, PortOrdered, PortReply, PortRequest, VirtualDevice};
 use super::port::Port;
-use super::refusals::{Cause, Refusals, Refused};
+use super::refusals::{Refusals, Refused};
 use super::rights;
 use super::status::RefusedStatus;
 use crate::gripper::clock::{self, sleep_until};
@@ -310,17 +310,17 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             self.uses_scripts |= matches!(&ordered.order, PortOrder::Exchange(wsg::Command::Custom(custom))
                 if !self.port.gripper.only_reads(custom.id()));
             let is_late = self.is_too_late(&ordered.order);
-            if !is_late && rights::allows(&self.port, self.address, &ordered.order) {
-                let step = self.step_of(ordered);
-                self.begin(step);
-            } else {
+            let allowed = rights::check(&self.port, self.address, &ordered.order);
+            if is_late || allowed.is_err() {
                 let (ask, status) = (ordered.ask, Status::E_ACCESS_DENIED);
-                if !is_late {
-                    let refused = Refused { id: ask.id, status, cause: Cause::Forbidden };
-                    self.refusals.record(&self.port, &self.client, &refused);
+                if let Some(cause) = allowed.err().filter(|_| !is_late) {
+                    self.refusals.record(&self.port, &self.client, &Refused { id: ask.id, status, cause });
                 }
                 self.answer(ask, PortReply::Refused(RefusedStatus { status, fast_stop: None }));
+                continue;
             }
+            let step = self.step_of(ordered);
+            self.begin(step);
         }
     }
 

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::device::{MAX_WAITING_FRAMES, PortReply, VirtualDevice};
-use super::port::Rules;
+use super::port::{AllowedLimits, Rules};
 use super::status::RefusedStatus;
 use crate::gripper::FastStop;
 use crate::gripper::model::{CustomIds, FastStopCause, FastStopId, LatchFields, Link, Name, Reason, State, Values};
@@ -16,7 +16,12 @@ use crate::wsg::{ChecksumEvaluation, Data, Decoded, Decoder, GripperState, Reply
 /// byte selects a step.
 pub(crate) fn session(data: &[u8]) {
     let Some((&rules, mut steps)) = data.split_first() else { return };
-    let rules = Rules { checksum_evaluation: rules % 2 == 1, acknowledge_any: rules & 2 == 2, allow: Vec::new() };
+    let rules = Rules {
+        checksum_evaluation: rules % 2 == 1,
+        acknowledge_any: rules & 2 == 2,
+        allow: Vec::new(),
+        limits: AllowedLimits::All,
+    };
     let Some((mut device, mut state)) = connected(&rules) else { return };
     nested(&rules, steps);
     let (mut now, mut orders) = (Instant::now(), VecDeque::new());

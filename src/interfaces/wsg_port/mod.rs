@@ -3,7 +3,7 @@
 //! `device` is the virtual device, a pure machine. Its parts are `input` (parses requests), `values` (what getters
 //! return), `acknowledge` (24h, and the right to it) and `status` (maps refusals to statuses). `client` is the I/O
 //! around the device, `rights` checks the clients' roles, and `refusals` reports what was refused. `tcp` and `udp`
-//! accept clients; `unreachable` notices dead ones.
+//! accept clients, `opening` checks their first bytes, and `unreachable` notices dead ones.
 //!
 //! A motion takes a free lease, and the client keeps the lease until it announces its disconnect (07h) or is lost. No
 //! client gets a frame that it has not requested.
@@ -15,6 +15,7 @@ mod device;
 pub(crate) mod fuzz;
 mod input;
 mod listener;
+mod opening;
 mod port;
 mod refusals;
 mod rights;
@@ -25,5 +26,5 @@ mod unreachable;
 mod values;
 
 pub use listener::{ListenAddress, Listener, serve};
-pub use port::{LOST_AFTER, MAX_DESCRIPTORS, MIN_DESCRIPTORS, Port, Rules};
+pub use port::{AllowedLimits, LOST_AFTER, MAX_DESCRIPTORS, MIN_DESCRIPTORS, Port, Rules};
 pub use udp::Datagrams;

@@ -31,7 +31,7 @@ pub const MIN_DESCRIPTORS: usize = 4;
 /// Silence after which a client's lease is lost: no TCP acknowledgements, or no datagrams unless configured otherwise.
 pub const LOST_AFTER: Duration = sockets::LOST_AFTER;
 
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Rules {
     /// Whether the checksums of requests are checked.
     pub checksum_evaluation: bool,
@@ -40,6 +40,17 @@ pub struct Rules {
     /// Networks that may connect. If empty: known clients and loopback, or every client if the gateway needs no
     /// credentials (see [`KnownPeers::allows`]).
     pub allow: Vec<IpNet>,
+    /// Limits of the gripper that clients may change.
+    pub limits: AllowedLimits,
+}
+
+/// Limits of the gripper that clients may change.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum AllowedLimits {
+    All,
+    /// A force limit up to this value. No soft limits, and no Overdrive Mode.
+    ForceUpTo(f32),
+    None,
 }
 
 #[derive(Debug)]

@@ -34,6 +34,8 @@ pub(super) enum Cause {
     Acknowledge,
     #[error("the client's role or grippers do not allow the request")]
     Forbidden,
+    #[error("clients of the WSG port may not change this limit (wsg_port_limits)")]
+    Limits,
 }
 
 impl Cause {
@@ -50,6 +52,10 @@ impl Cause {
             Self::Announced => "connect again",
             Self::Acknowledge => {
                 "acknowledge the FAST STOP over HTTP or on the dashboard, or set wsg_port_acknowledge = \"any\""
+            }
+            Self::Limits => {
+                "change the limit over HTTP or on the dashboard, or raise wsg_port_max_force_n, or set wsg_port_limits = \
+                 \"open\""
             }
             Self::Forbidden => "change the client's role, or add this gripper to its [[clients]] section",
         }

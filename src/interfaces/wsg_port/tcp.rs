@@ -5,10 +5,12 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 
 use socket2::SockRef;
+use tokio::net::tcp::{OwnedReadHalf, OwnedWriteHalf};
 use tokio::net::{TcpListener, TcpStream};
 use tokio_util::sync::CancellationToken;
 
 use super::client::Served;
+use super::opening::CheckedReader;
 use super::port::{LOST_AFTER, Port};
 use crate::interfaces::accept;
 use crate::interfaces::admission::Admission;
@@ -28,7 +30,7 @@ pub(super) async fn serve(
     listener
 }
 
-type Connection = Served<tokio::net::tcp::OwnedReadHalf, tokio::net::tcp::OwnedWriteHalf>;
+type Connection = Served<CheckedReader<OwnedReadHalf>, OwnedWriteHalf>;
 
 fn admit(port: &Arc<Port>, stream: TcpStream, peer: SocketAddr, admission: &Arc<Admission>) -> Option<Connection> {
     let gripper = port.gripper.name();
@@ -44,6 +46,7 @@ fn admit(port: &Arc<Port>, stream: TcpStream, peer: SocketAddr, admission: &Arc<
     let permit = Port::admit(admission, peer);
     tracing::info!(%gripper, %peer, "WSG port client connected via TCP");
     let (reader, writer) = stream.into_split();
+    let reader = CheckedReader::new(reader, port.clone(), peer);
     Some(Served::new(port.clone(), (port.client(peer.ip()), peer.ip()), permit, (reader, writer), None))
 }
 

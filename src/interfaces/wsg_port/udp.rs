@@ -1,5 +1,7 @@
 //! UDP clients. A client is identified by the address that its replies go to.
 //!
+//! Each datagram has to begin with a frame, since another program of a client's host can send to the same port.
+//!
 //! Silence ends a client's lease, but not its updates: many drivers only listen while they hold a part. A client is
 //! removed after its 07h, when its port is closed, when its host is unreachable for too long, or when another program
 //! uses its address.
@@ -22,6 +24,7 @@ use super::client::Served;
 use super::port::Port;
 use super::unreachable::{self, DeliveryError, Outage};
 use crate::gripper::clock;
+use crate::wsg::Opening;
 
 /// Settings for UDP clients.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -72,6 +75,7 @@ pub(super) async fn serve(
     unreachable::report(&socket);
     let (mut known, mut clients) = (HashMap::<SocketAddr, UdpClient>::new(), JoinSet::new());
     let (mut ignored, mut unheard) = (WarnedHosts::default(), WarnedHosts::default());
+    let mut foreign = WarnedHosts::default();
     let mut datagram = vec![0; MAX_DATAGRAM_BYTES];
     let gripper = port.gripper.name();
     loop {
@@ -105,6 +109,12 @@ pub(super) async fn serve(
         // An error refers to an earlier reply.
         let Ok((bytes, peer)) = received else { continue };
         let bytes = datagram.get(..bytes).unwrap_or_default().to_vec();
+        // Also of a known client: with a fixed reply port, a browser on its machine would count as the same client.
+        if !Opening::begins_with_frame(&bytes) {
+            let is_first = foreign.is_first(peer.ip());
+            port.metrics.foreign.ignored(peer, &bytes, is_first);
+            continue;
+        }
         // All senders with the same reply address are one client, since their replies could not be distinguished.
         let answered_at = SocketAddr::new(peer.ip(), reply_port.unwrap_or(peer.port()));
         let now = clock::instant();

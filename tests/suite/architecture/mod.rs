@@ -23,7 +23,7 @@ const ROOMS: &str = "
     alarms: fleet gripper gripper/model gripper/recorder journal wear
     daemon: access alarms config interfaces interfaces/dashboard interfaces/http interfaces/modbus interfaces/wsg_port
         interfaces/zenoh events fleet operations gripper gripper/actor gripper/model gripper/recorder journal recipes
-        sim transport trends wear webhooks
+        sim transport trends wear webhooks wsg
     doctor: access config daemon gripper/model interfaces journal transport wsg wsg/frame
     config: access fleet gripper/model journal transport wear webhooks
     logging:

@@ -69,6 +69,7 @@ async fn damaged_frames_do_not_affect_the_next_request() {
     let reply = driver.next().await;
     assert_eq!((reply.id, reply.status), (0x50, CHECKSUM_ERROR));
     assert_eq!(driver.status(0x50, &[]).await, SUCCESS);
+    // The connection has begun with a frame: see `foreign_protocols` for others.
     for garbage in [&b"GET / HTTP/1.1\r\n\r\n"[..], &[0xAA; 7], &[0x00, 0xAA, 0xAA, 0x20]] {
         driver.send_raw(&[garbage, &request(0x50, &[])].concat()).await;
         let reply = driver.next().await;

@@ -5,6 +5,7 @@ mod disconnects;
 mod drivers;
 mod field_notes;
 mod latch;
+mod limits;
 mod link;
 mod malformed;
 mod manual;

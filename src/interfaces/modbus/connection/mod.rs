@@ -6,7 +6,7 @@ mod requests;
 
 use std::collections::BTreeMap;
 use std::convert::Infallible;
-use std::io;
+use std::io::{self, ErrorKind};
 use std::net::IpAddr;
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
@@ -98,6 +98,8 @@ struct ClientLease {
 enum ConnectionEnd {
     /// The client has disconnected or is lost.
     Gone,
+    /// The client speaks another protocol.
+    Foreign,
     /// The gateway shuts down.
     Closing,
 }
@@ -136,10 +138,13 @@ impl ModbusConnection {
         // A panic must not keep the leases.
         match AssertUnwindSafe(self.serve(&closing)).catch_unwind().await {
             Ok(ConnectionEnd::Closing) => return,
-            Ok(ConnectionEnd::Gone) => {}
-            Err(_) => tracing::error!(client = %self.client.subject, "Modbus connection panicked"),
+            Ok(ConnectionEnd::Foreign) => {}
+            Ok(ConnectionEnd::Gone) => self.take_last_fast_stops().await,
+            Err(_) => {
+                tracing::error!(client = %self.client.subject, "Modbus connection panicked");
+                self.take_last_fast_stops().await;
+            }
         }
-        self.take_last_fast_stops().await;
         // Commands sent before the disconnect can still reach the gripper, and take a lease there.
         self.lose_leases().await;
         let ends = async {
@@ -157,9 +162,9 @@ impl ModbusConnection {
         for _ in 0..MAX_LAST_REQUESTS {
             let Ok(Some(Ok(frame))) = timeout(waits, self.frames.next()).await else { return };
             waits = Duration::ZERO;
-            if let Ok((header, request)) = adu::parse(frame) {
-                self.perform_fast_stops(header, request);
-            }
+            // Behind bytes that are not Modbus, nothing is a request.
+            let Ok((header, request)) = adu::parse(frame.freeze()) else { return };
+            self.perform_fast_stops(header, request);
         }
     }
 
@@ -254,13 +259,21 @@ impl ModbusConnection {
     }
 
     async fn receive(&mut self, frame: Option<io::Result<BytesMut>>) -> Result<(), ConnectionEnd> {
-        let Some(Ok(frame)) = frame else { return Err(ConnectionEnd::Gone) };
+        let frame = match frame {
+            Some(Ok(frame)) => frame.freeze(),
+            // The announced length is one that no request has. The bytes are still in the buffer.
+            Some(Err(error)) if error.kind() == ErrorKind::InvalidData => {
+                self.context.foreign.closed(self.peer, self.frames.read_buffer());
+                return Err(ConnectionEnd::Foreign);
+            }
+            Some(Err(_)) | None => return Err(ConnectionEnd::Gone),
+        };
         self.heard = clock::instant();
         self.permit.heard();
         self.is_fresh = false;
-        let Ok((header, request)) = adu::parse(frame) else {
-            tracing::warn!(client = %self.client.subject, "Modbus connection closed: received bytes are not Modbus TCP");
-            return Err(ConnectionEnd::Gone);
+        let Ok((header, request)) = adu::parse(frame.clone()) else {
+            self.context.foreign.closed(self.peer, &frame);
+            return Err(ConnectionEnd::Foreign);
         };
         match self.perform(header, request) {
             Ok(Some(data)) => self.send(header, Ok(&data)).await,
