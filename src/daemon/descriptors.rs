@@ -5,7 +5,6 @@ use rustix::process::{Resource, getrlimit, setrlimit};
 
 use crate::config::{Config, DeviceSource, WsgAddress};
 use crate::interfaces::Bounds;
-use crate::interfaces::wsg_port;
 
 /// The gateway itself: five runtimes with sockets (20), the listener, standard input and output, the journal with its
 /// readers (8), and some to spare.
@@ -19,6 +18,9 @@ const OF_A_LINK: usize = 2;
 
 /// Zenoh's runtimes and its listener.
 const OF_ZENOH: usize = 13;
+
+/// The runtime of Modbus.
+const OF_MODBUS: usize = 4;
 
 /// The announcement by mDNS: a socket each for IPv4 and IPv6, and the descriptors of its thread.
 const OF_MDNS: usize = 8;
@@ -74,23 +76,23 @@ impl Shares {
     /// Returns the share of each WSG port with another configuration. HTTP and the ports in use keep their shares.
     pub(super) fn of_ports(&self, config: &Config) -> Result<usize, TooFew> {
         let (own, ports) = needs(config);
-        let in_use = self.wsg_port.max(wsg_port::MIN_DESCRIPTORS);
+        let in_use = self.wsg_port.max(Bounds::MIN_ALIKE);
         let needed = own + self.http + ports * in_use;
         let free = self.limit.saturating_sub(own + self.http);
         match free.checked_div(ports) {
             Some(share) if share < in_use => Err(TooFew { limit: self.limit, needed }),
             _ if needed > self.limit => Err(TooFew { limit: self.limit, needed }),
-            share => Ok(share.unwrap_or_default().min(wsg_port::MAX_DESCRIPTORS)),
+            share => Ok(share.unwrap_or_default().min(Bounds::MAX_ALIKE)),
         }
     }
 
     fn of(config: &Config, limit: usize) -> Result<Self, TooFew> {
         let (own, ports) = needs(config);
-        let needed = own + Bounds::MIN_DESCRIPTORS + ports * wsg_port::MIN_DESCRIPTORS;
+        let needed = own + Bounds::MIN_DESCRIPTORS + ports * Bounds::MIN_ALIKE;
         let spare = limit.checked_sub(needed).ok_or(TooFew { limit, needed })?;
         // The WSG ports have few clients, so they get a quarter of the spare descriptors.
         let of_ports = (spare / 4).checked_div(ports).unwrap_or(0);
-        let wsg_port = (wsg_port::MIN_DESCRIPTORS + of_ports).min(wsg_port::MAX_DESCRIPTORS);
+        let wsg_port = (Bounds::MIN_ALIKE + of_ports).min(Bounds::MAX_ALIKE);
         let http = limit - own - ports * wsg_port;
         Ok(Self { limit, http: http.min(Bounds::MAX_DESCRIPTORS), wsg_port })
     }
@@ -104,7 +106,8 @@ fn needs(config: &Config) -> (usize, usize) {
     let zenoh = if config.zenoh.is_some() { OF_ZENOH } else { 0 };
     let links = config.grippers.iter().filter(|gripper| matches!(gripper.device, DeviceSource::At(_))).count();
     let mdns = if config.mdns { OF_MDNS } else { 0 };
-    (OWN + OF_A_LINK * links + OF_A_WEBHOOK * config.webhooks.len() + zenoh + mdns, ports)
+    let modbus = if config.modbus.is_some() { OF_MODBUS } else { 0 };
+    (OWN + OF_A_LINK * links + OF_A_WEBHOOK * config.webhooks.len() + zenoh + mdns + modbus, ports)
 }
 
 #[cfg(test)]
@@ -131,7 +134,7 @@ mod tests {
     fn further_ports_get_a_share_while_the_others_keep_theirs() {
         let shares = Shares::of(&config(&[], &[]), 20_000).unwrap();
         let more = config(&["g=tcp://127.0.0.1:1000"], &["g=127.0.0.1:0"]);
-        assert_eq!(shares.of_ports(&more), Ok(wsg_port::MAX_DESCRIPTORS));
+        assert_eq!(shares.of_ports(&more), Ok(Bounds::MAX_ALIKE));
         let full = Shares::of(&config(&[], &[]), 128).unwrap();
         assert!(full.of_ports(&more).unwrap_err().to_string().contains("ulimit -n"));
         assert_eq!(full.of_ports(&config(&[], &[])), Ok(0));
@@ -149,7 +152,7 @@ mod tests {
         for limit in [64, 128, 600, 1024, 20_000] {
             let shares = Shares::of(&config, limit).unwrap();
             assert!(OWN + OF_A_LINK + OF_ZENOH + shares.http + shares.wsg_port <= limit, "{shares:?}");
-            assert!(shares.wsg_port >= wsg_port::MIN_DESCRIPTORS && shares.http >= Bounds::MIN_DESCRIPTORS);
+            assert!(shares.wsg_port >= Bounds::MIN_ALIKE && shares.http >= Bounds::MIN_DESCRIPTORS);
         }
     }
 }

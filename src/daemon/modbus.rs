@@ -12,6 +12,7 @@ use super::listen;
 use crate::access::Access;
 use crate::config::Config;
 use crate::gripper::model::Name;
+use crate::interfaces;
 use crate::interfaces::foreign::ForeignClients;
 use crate::interfaces::http::HttpContext;
 use crate::interfaces::metrics::InterfaceMetrics;
@@ -36,7 +37,7 @@ pub(super) struct ServedModbus {
 /// Binds the listener; `None` if Modbus is off.
 pub(super) fn bind(config: &Config, descriptors: usize) -> anyhow::Result<Option<BoundModbus>> {
     let Some(modbus) = &config.modbus else { return Ok(None) };
-    let listener = modbus::listen(modbus.address).map_err(|error| {
+    let listener = interfaces::listen(modbus.address).map_err(|error| {
         listen::failed(format_args!("{}: Modbus cannot listen on {}", modbus.place, modbus.address), error)
     })?;
     Ok(Some(BoundModbus { listener, descriptors }))
@@ -55,8 +56,8 @@ impl BoundModbus {
         self.listener.local_addr()
     }
 
-    /// Serves Modbus on the grippers' runtime: its clients are few, the work of each turn is bounded, and a request needs
-    /// no change of threads.
+    /// Serves Modbus on a runtime of its own, so that no flood of its requests takes time from the grippers or delays a
+    /// FAST STOP of another interface.
     pub(super) fn serve(
         self,
         config: &Config,

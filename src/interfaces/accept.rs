@@ -1,51 +1,155 @@
-//! Accepts the connections of interfaces with few, long-lived clients.
+//! Accepting connections, with one rule for all interfaces.
+//!
+//! [`Admission`] decides which connections are kept. Evicted connections keep their descriptors until they have ended. While
+//! too many of them are ending, a further connection is accepted nevertheless, since it can bring a FAST STOP: it gets a
+//! moment to send its first bytes, and is served if they are those of a FAST STOP. A listener therefore waits for nothing
+//! that other clients can prolong, and the kernel's queue does not overflow.
 
 use std::io;
 use std::net::SocketAddr;
 use std::time::Duration;
 
+use rustix::net::RecvFlags;
+use socket2::{Domain, Socket, Type};
 use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::OwnedSemaphorePermit;
 use tokio::task::JoinSet;
-use tokio::time::sleep;
+use tokio::time::{Instant, sleep, timeout};
 use tokio_util::sync::CancellationToken;
 
-use super::admission::Admission;
+use super::admission::{Admission, Patience};
+
+/// Connections that the kernel queues until they are accepted. A FAST STOP waits in this queue during a flood of
+/// connects, so a larger backlog delays it longer. With a smaller one, the kernel drops connects, which clients repeat only
+/// after a second.
+const BACKLOG: i32 = 2048;
 
 /// Pause after a failed accept: long enough not to spin while the process is out of file descriptors, short enough not
 /// to be noticed.
-const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
+const ACCEPT_PAUSE: Duration = Duration::from_millis(5);
+
+/// Time that accepting waits for evicted connections to end.
+const ROOM_WITHIN: Duration = Duration::from_millis(10);
+
+/// Pause after a wait for evicted connections that freed nothing.
+const STALLED_FOR: Duration = Duration::from_millis(200);
+
+/// Bytes that are searched for a FAST STOP, which is usually whole within them.
+pub const FIRST_BYTES: usize = 1024;
+
+/// Time for the first bytes of a connection that has found no room, and for the rest of a first line after its beginning.
+pub const FIRST_BYTES_WITHIN: Duration = Duration::from_millis(20);
+
+/// Listens on an address. The listener is not registered with a runtime.
+///
+/// # Errors
+/// The operating system's error.
+pub fn listen(address: SocketAddr) -> io::Result<std::net::TcpListener> {
+    let socket = Socket::new(Domain::for_address(address), Type::STREAM, None)?;
+    // A restarted gateway must not wait for the connections of its last run to time out.
+    socket.set_reuse_address(true)?;
+    socket.set_nonblocking(true)?;
+    socket.bind(&address.into())?;
+    socket.listen(BACKLOG)?;
+    Ok(socket.into())
+}
+
+/// The waits of a listener between two connections.
+#[derive(Debug, Default)]
+pub struct Acceptor {
+    stalled_at: Option<Instant>,
+    patience: Patience,
+}
+
+impl Acceptor {
+    /// Waits until the next connection should be accepted, a few milliseconds at most.
+    pub async fn ready(&mut self, admission: &Admission) {
+        // Evicted connections usually end at once.
+        if admission.is_crowded() && self.stalled_at.is_none_or(|at| at.elapsed() > STALLED_FOR) {
+            let has_room = timeout(ROOM_WITHIN, admission.has_room()).await.is_ok();
+            self.stalled_at = (!has_room).then(Instant::now);
+        }
+        self.patience.wait(admission).await;
+    }
+
+    /// Handles a failed accept.
+    pub async fn failed(&self, admission: &Admission, error: io::Error) {
+        tracing::warn!(%error, "connection could not be accepted");
+        admission.evict_one();
+        sleep(ACCEPT_PAUSE).await;
+    }
+}
+
+/// Returns a slot for inspecting a connection while too many others are leaving. A connection whose first bytes are already
+/// those of a FAST STOP can use slots that others can't.
+pub fn slot_in_crowd(
+    admission: &Admission,
+    stream: &TcpStream,
+    begins_with_fast_stop: fn(&[u8]) -> bool,
+) -> Option<OwnedSemaphorePermit> {
+    let mut first = [0; FIRST_BYTES];
+    let seen = peek_now(stream, &mut first);
+    let has_fast_stop = begins_with_fast_stop(first.get(..seen).unwrap_or_default());
+    admission.reserved(has_fast_stop).or_else(|| admission.displaced())
+}
+
+/// Waits a moment for the first bytes of a connection that has found no room. Returns whether they begin a FAST STOP.
+pub async fn brings_fast_stop(stream: &TcpStream, begins_with_fast_stop: fn(&[u8]) -> bool) -> bool {
+    let mut first = [0; FIRST_BYTES];
+    let seen = timeout(FIRST_BYTES_WITHIN, stream.peek(&mut first)).await;
+    let seen = seen.map_or(0, Result::unwrap_or_default);
+    begins_with_fast_stop(first.get(..seen).unwrap_or_default())
+}
+
+/// Peeks without waiting for tokio's readiness, which a fresh stream does not have yet.
+pub fn peek_now(stream: &TcpStream, buffer: &mut [u8]) -> usize {
+    rustix::net::recv(stream, buffer, RecvFlags::PEEK | RecvFlags::DONTWAIT).map_or(0, |(_, bytes)| bytes)
+}
 
 /// Accepts clients until `draining`, and runs what `admit` returns for each. Returns the clients that are still served.
-pub async fn each<F: Future<Output = ()> + Send + 'static>(
+pub async fn each<A, F>(
     listener: &TcpListener,
     admission: &Admission,
     draining: &CancellationToken,
-    admit: impl Fn(TcpStream, SocketAddr) -> Option<F>,
-) -> JoinSet<()> {
-    let mut clients = JoinSet::new();
+    begins_with_fast_stop: fn(&[u8]) -> bool,
+    admit: A,
+) -> JoinSet<()>
+where
+    A: Fn(TcpStream, SocketAddr) -> Option<F> + Clone + Send + 'static,
+    F: Future<Output = ()> + Send + 'static,
+{
+    let (mut clients, mut acceptor) = (JoinSet::new(), Acceptor::default());
     loop {
         let accepted = tokio::select! {
             biased;
             () = draining.cancelled() => return clients,
             Some(_) = clients.join_next() => continue,
-            accepted = accept(listener, admission) => accepted,
+            accepted = async {
+                acceptor.ready(admission).await;
+                listener.accept().await
+            } => accepted,
         };
-        match accepted {
-            Ok((stream, peer)) => {
-                if let Some(served) = admit(stream, peer) {
-                    clients.spawn(served);
-                }
-            }
+        let (stream, peer) = match accepted {
+            Ok(accepted) => accepted,
             Err(error) => {
-                tracing::warn!(%error, "connection could not be accepted");
-                admission.evict_one();
-                sleep(ACCEPT_PAUSE).await;
+                acceptor.failed(admission, error).await;
+                continue;
             }
+        };
+        if !admission.is_crowded() {
+            if let Some(served) = admit(stream, peer) {
+                clients.spawn(served);
+            }
+            continue;
         }
+        let Some(slot) = slot_in_crowd(admission, &stream, begins_with_fast_stop) else { continue };
+        let admit = admit.clone();
+        clients.spawn(async move {
+            let is_served = brings_fast_stop(&stream, begins_with_fast_stop).await;
+            drop(slot);
+            if is_served && let Some(served) = admit(stream, peer) {
+                served.await;
+            }
+        });
     }
-}
-
-async fn accept(listener: &TcpListener, admission: &Admission) -> io::Result<(TcpStream, SocketAddr)> {
-    admission.has_room().await;
-    listener.accept().await
 }

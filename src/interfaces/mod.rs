@@ -23,6 +23,7 @@ pub mod websocket;
 pub mod wsg_port;
 pub mod zenoh;
 
+pub use accept::listen;
 pub use admission::Bounds;
 pub use context::Context;
 pub use runtimes::Runtimes;

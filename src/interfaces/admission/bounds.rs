@@ -140,14 +140,25 @@ impl Bounds {
         Self { classes, leaving, reserved, displaced, held_bytes: HELD_BYTES }
     }
 
+    /// Maximum number of descriptors of a listener whose clients are all alike: for 512 clients, since a proxy or a faulty
+    /// program can open some hundreds, besides those that have just connected or are ending.
+    pub const MAX_ALIKE: usize = 1024;
+
+    /// Minimum number of descriptors of such a listener.
+    pub const MIN_ALIKE: usize = 4;
+
     /// Returns the bounds of a listener whose clients are all alike. Half of the descriptors are for clients that have
-    /// sent something, a quarter for silent ones, and a quarter for evicted ones.
+    /// sent something, a quarter for silent ones, an eighth for evicted ones, and an eighth for connections that are only
+    /// inspected, because too many others are leaving.
     #[must_use]
     pub fn alike(descriptors: usize) -> Self {
+        let descriptors = descriptors.clamp(Self::MIN_ALIKE, Self::MAX_ALIKE);
         let mut classes = [usize::MAX; CLASSES];
         classes[Class::Incoming as usize] = (descriptors / 4).max(1);
         classes[Class::Idle as usize] = (descriptors / 2).max(1);
-        Self { classes, leaving: (descriptors / 4).max(1), reserved: 0, displaced: 0, held_bytes: HELD_BYTES }
+        let leaving = (descriptors / 8).max(1);
+        let inspected = descriptors / 16;
+        Self { classes, leaving, reserved: inspected, displaced: inspected, held_bytes: HELD_BYTES }
     }
 
     /// Returns bounds with one slot of each class, and none for connections that were evicted before their first byte.

@@ -27,15 +27,20 @@ use tokio_util::task::task_tracker::TaskTrackerToken;
 pub use bounds::{Bounds, Class};
 pub use metrics::Usage;
 pub use patience::Patience;
+pub use table::peer;
 use table::{Id, Table};
 
 /// Time for an evicted connection to deliver its response, also to a FAST STOP whose first bytes arrived before the
 /// eviction.
 const LINGER: Duration = Duration::from_millis(100);
 
-/// Extra slots for connections whose first line has arrived. They leave their slot within microseconds, so their
+/// Time for an evicted connection to get the answer to a whole request: as long as a FAST STOP waits for its confirmation,
+/// and a little more.
+const LINGER_FOR_ANSWER: Duration = Duration::from_millis(300);
+
+/// Extra slots for connections that begin with a whole FAST STOP. They leave their slot within microseconds, so their
 /// descriptors are among those that the gateway keeps for itself.
-const FOR_COMPLETE_LINES: usize = 4;
+const FOR_WHOLE_FAST_STOPS: usize = 4;
 
 /// The connections of one listener.
 #[derive(Debug)]
@@ -56,7 +61,7 @@ impl Admission {
     #[must_use]
     pub fn new(bounds: Bounds) -> Arc<Self> {
         let (table, tracker) = (Mutex::new(Table::new(bounds)), TaskTracker::new());
-        let reserve = Arc::new(Semaphore::new(bounds.reserved + FOR_COMPLETE_LINES));
+        let reserve = Arc::new(Semaphore::new(bounds.reserved + FOR_WHOLE_FAST_STOPS));
         let displaced = Arc::new(Semaphore::new(bounds.displaced));
         Arc::new(Self { table, ended: Notify::new(), released: Notify::new(), tracker, reserve, displaced })
     }
@@ -93,9 +98,9 @@ impl Admission {
     }
 
     /// Returns a slot for inspecting a connection while too many others are leaving. Some slots are reserved for
-    /// connections whose first line has arrived, which need them for microseconds only.
-    pub fn reserved(&self, has_line: bool) -> Option<OwnedSemaphorePermit> {
-        let has_room = has_line || self.reserve.available_permits() > FOR_COMPLETE_LINES;
+    /// connections that begin with a whole FAST STOP, which need them for microseconds only.
+    pub fn reserved(&self, has_fast_stop: bool) -> Option<OwnedSemaphorePermit> {
+        let has_room = has_fast_stop || self.reserve.available_permits() > FOR_WHOLE_FAST_STOPS;
         has_room.then(|| self.reserve.clone().try_acquire_owned().ok()).flatten()
     }
 
@@ -152,7 +157,31 @@ impl ConnectionPermit {
         self.linger_besides(0)
     }
 
-    /// Like [`Self::linger`], for a connection that has begun a FAST STOP. It does not count itself, so that it can linger
+    /// Returns the time for an evicted connection to get the answer to a whole request; zero only while too many others
+    /// are ending.
+    pub fn linger_for_answer(&self) -> Duration {
+        if self.admission.is_crowded() { Duration::ZERO } else { LINGER_FOR_ANSWER }
+    }
+
+    /// Whether a whole request of this connection is being answered.
+    pub fn has_whole_request(&self) -> bool {
+        self.admission.table().has_claim(self.id)
+    }
+
+    /// Gives the slot of a connection back that was evicted before its first byte, and returns one in which it can wait a
+    /// moment for the first bytes; `None` if all of these are taken.
+    pub fn displaced(&self) -> Option<OwnedSemaphorePermit> {
+        self.closed();
+        self.admission.displaced()
+    }
+
+    /// Frees the slot of an evicted connection whose socket is closed. A FAST STOP can still use the permit.
+    pub fn closed(&self) {
+        self.admission.table().remove(self.id);
+        self.admission.ended.notify_one();
+    }
+
+    /// Like [`Self::linger`], for a connection whose FAST STOP has only begun to arrive. It does not count itself, so that it can linger
     /// even with few descriptors.
     pub fn linger_for_fast_stop(&self) -> Duration {
         self.linger_besides(1)

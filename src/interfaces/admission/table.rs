@@ -13,7 +13,7 @@ use super::bounds::{Bounds, CLASSES, Class, WhenFull};
 pub(super) type Id = u64;
 
 /// One peer: an IPv4 address, or an IPv6 /64 network, since one machine can use all of its addresses.
-type Peer = IpAddr;
+pub type Peer = IpAddr;
 
 /// Advantage in rank of a connection that has sent nothing yet, because it may still bring a FAST STOP. A client sends
 /// its first bytes within a millisecond, unless its machine is busy.
@@ -125,11 +125,11 @@ impl Table {
     /// Adds a claim. Returns `None` if the class stays full.
     pub(super) fn claim(&mut self, id: Id, class: Class, now: Instant, yielded: &CancellationToken) -> Option<()> {
         // An evicted connection can finish its request, but can't start a wait or a stream.
-        let Entry { peer, is_leaving, claims, .. } = self.entries.get(&id)?;
-        let (peer, lasts) = (*peer, matches!(class, Class::Waiting | Class::Streaming));
-        if *is_leaving {
+        let lasts = matches!(class, Class::Waiting | Class::Streaming);
+        let Some(Entry { peer, is_leaving: false, claims, .. }) = self.entries.get(&id) else {
             return (!lasts).then_some(());
-        }
+        };
+        let peer = *peer;
         // A request that is passed on within the gateway already has its slot.
         if claims[class as usize] == 0 && !self.make_room(class, peer) {
             return None;
@@ -167,6 +167,11 @@ impl Table {
                 self.classes[entry.class() as usize].remove(entry.peer, entry.rank(), id);
             }
         }
+    }
+
+    /// Whether the connection has a claim.
+    pub(super) fn has_claim(&self, id: Id) -> bool {
+        self.entries.get(&id).is_some_and(|entry| entry.claims.iter().any(|claims| *claims > 0))
     }
 
     /// Returns the number of connections of a class and its bound.
@@ -316,7 +321,8 @@ impl Members {
     }
 }
 
-fn peer(address: IpAddr) -> Peer {
+/// Returns the peer of an address. Limits of one address apply to all addresses of a peer.
+pub fn peer(address: IpAddr) -> Peer {
     match address.to_canonical() {
         IpAddr::V6(address) => Ipv6Addr::from_bits(address.to_bits() >> 64 << 64).into(),
         address @ IpAddr::V4(_) => address,

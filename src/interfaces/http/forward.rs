@@ -99,7 +99,7 @@ pub async fn forward(
     }
     let permit: Option<Arc<ConnectionPermit>> = parts.extensions.get().cloned();
     let long_wait = wait.filter(|wait| !wait.is_zero());
-    let _claim = match (permit, long_wait) {
+    let _claim = match (&permit, long_wait) {
         (Some(permit), Some(_)) => {
             let claim = permit.claim(Class::Waiting);
             wait = if claim.is_some() { long_wait } else { Some(Duration::ZERO) };
@@ -119,7 +119,7 @@ pub async fn forward(
     let asked = if urgency == Urgency::FastStop {
         let reason = |text: &[u8]| Reason::truncated(&text_member(text, "reason").unwrap_or_default());
         let stop = move |text: Bytes| ask(Map::from_iter([("reason".to_owned(), reason(&text).as_str().into())]));
-        with_reason(stream, stop).await?
+        with_reason(stream, permit, stop).await?
     } else {
         let mut params = fields_of(operation, stream, path).await?;
         if !operation.query.is_empty() {

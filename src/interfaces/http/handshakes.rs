@@ -10,6 +10,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use rand::RngExt as _;
 use tokio::sync::oneshot;
 
+use crate::interfaces::admission;
+
 /// Handshakes of one address that run at the same time.
 const AT_ONCE: usize = 4;
 
@@ -33,7 +35,7 @@ pub(super) struct Turn {
 impl Handshakes {
     /// Waits for the turn of a handshake.
     pub(super) async fn turn(&self, peer: IpAddr) -> Turn {
-        let peer = peer.to_canonical();
+        let peer = admission::peer(peer);
         let waiting = {
             let mut peers = self.peers();
             let known = peers.entry(peer).or_default();
@@ -97,6 +99,11 @@ mod tests {
         let mut waiting: Vec<_> = (0..3).map(|_| Box::pin(handshakes.turn(flood))).collect();
         assert!(waiting.iter_mut().all(|turn| turn.as_mut().now_or_never().is_none()));
         assert!(handshakes.turn([127, 0, 0, 1].into()).now_or_never().is_some(), "another address does not wait");
+        let (one, other) = ("2001:db8:0:1::1".parse::<IpAddr>().unwrap(), "2001:db8:0:1::2".parse().unwrap());
+        let network: Vec<_> = (0..AT_ONCE).filter_map(|_| handshakes.turn(one).now_or_never()).collect();
+        assert_eq!(network.len(), AT_ONCE);
+        assert!(handshakes.turn(other).now_or_never().is_none(), "a machine can use all addresses of its /64");
+        drop(network);
         // One of those that wait has given up.
         drop(waiting.pop());
         running.pop();

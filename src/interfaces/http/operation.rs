@@ -16,7 +16,7 @@ use super::context::{API, HttpContext};
 use super::fast_stop::with_reason;
 use super::visitor::Identified;
 use super::wait::ConnectionWaits;
-use crate::gripper::model::{Door, LeaseToken, Text};
+use crate::gripper::model::{Door, LeaseToken, Text, Urgency};
 use crate::operations::values::text;
 use crate::operations::{
     Caller, Effect, Fields, MAX_LEASE_BYTES, Operation, OperationReply, Params, Presence, Problem, QueryString, Wait,
@@ -64,7 +64,8 @@ pub async fn serve_below(
     // A Stop, too, happens whatever its body says and however long the body takes.
     let reply = match body {
         RequestBody::Stream(stream) if operation.ignores_mistakes => {
-            with_reason(stream, move |text| run(Fields::Text(text))).await??
+            let permit = parts.extensions.get().filter(|_| operation.urgency == Urgency::FastStop).cloned();
+            with_reason(stream, permit, move |text| run(Fields::Text(text))).await??
         }
         // The body of a GET has no meaning (RFC 9110, 9.3.1).
         _ if *operation.verb == Method::GET => run(Fields::Object(query(parts, operation)?)).await?,

@@ -24,7 +24,8 @@ use crate::operations::{Code, Problem};
 const TURN_TIME: Duration = Duration::from_secs(2);
 
 /// Reads the body before the handlers see the request. The connection claims its slot only after the body has arrived.
-/// A FAST STOP waits for nothing and claims a slot at once. A Stop does not wait for its body, which the handler reads.
+/// A FAST STOP waits for nothing, and its handler claims a slot once the body is complete. A Stop does not wait for its
+/// body, which the handler reads.
 pub async fn read_first(request: Request, next: impl AsyncFnOnce(Request) -> Response) -> Response {
     let permit: Option<Arc<ConnectionPermit>> = request.extensions().get().cloned();
     let pace: Option<Arc<RequestPace>> = request.extensions().get().cloned();
@@ -32,7 +33,6 @@ pub async fn read_first(request: Request, next: impl AsyncFnOnce(Request) -> Res
         if let Some(pace) = pace {
             pace.next_fast_stop().await;
         }
-        let _claim = permit.as_ref().and_then(|permit| permit.claim(Class::Urgent));
         return next(request).await;
     }
     let (parts, stream) = request.into_parts();

@@ -48,6 +48,14 @@ pub(super) fn frames() -> LengthDelimitedCodec {
         .new_codec()
 }
 
+/// Whether a connection begins with a whole request that writes registers, which can be a FAST STOP.
+pub(super) fn begins_with_write(first: &[u8]) -> bool {
+    const WRITE_SINGLE: u8 = 6;
+    let [_, _, 0, 0, 0, length, rest @ ..] = first else { return false };
+    let writes = [WRITE_SINGLE, WRITE_MULTIPLE.0, READ_AND_WRITE.0];
+    rest.len() >= usize::from(*length) && rest.get(1).is_some_and(|function| writes.contains(function))
+}
+
 /// Splits a frame into its header and its request, which begins with the function code.
 pub(super) fn parse(mut frame: Bytes) -> Result<(Header, Bytes), NotModbus> {
     let (transaction, protocol) = (frame.try_get_u16(), frame.try_get_u16());
@@ -151,14 +159,15 @@ pub(super) fn identification(code: ReadCode, first: u8, objects: &[&str]) -> Opt
 
 #[cfg(test)]
 mod tests {
+    use bytes::BytesMut;
     use rand::rngs::StdRng;
     use rand::{RngExt as _, SeedableRng as _};
     use tokio_util::codec::Decoder as _;
 
     use super::*;
 
-    fn frame(hex: &str) -> Bytes {
-        hex::decode(hex.replace(' ', "")).unwrap().into()
+    fn frame(hex: &str) -> BytesMut {
+        BytesMut::from(&hex::decode(hex.replace(' ', "")).unwrap()[..])
     }
 
     #[test]
@@ -166,7 +175,7 @@ mod tests {
         let mut codec = frames();
         let mut stream = frame("0001 0000 0006 01 03 0064 0002 0002 0000 0006 FF");
         let first = codec.decode(&mut stream).unwrap().unwrap();
-        let (header, request) = parse(first).unwrap();
+        let (header, request) = parse(first.freeze()).unwrap();
         assert_eq!(header, Header { transaction: 1, unit: 1, function: 3 });
         assert_eq!(&request[..], [3, 0, 0x64, 0, 2]);
         assert_eq!(codec.decode(&mut stream).unwrap(), None, "incomplete");
@@ -177,7 +186,7 @@ mod tests {
     fn other_protocols_are_refused() {
         let wrong = ["0001 0001 0006 01 03 0064 0002", "0001 0000 0001 01", "0001 0000 0000"];
         for wrong in wrong {
-            assert_eq!(parse(frame(wrong)), Err(NotModbus), "{wrong}");
+            assert_eq!(parse(frame(wrong).freeze()), Err(NotModbus), "{wrong}");
         }
     }
 

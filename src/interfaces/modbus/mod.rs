@@ -25,4 +25,4 @@ mod server;
 mod status;
 
 pub use context::{ModbusContext, ModbusSettings};
-pub use server::{MAX_DESCRIPTORS, listen, serve};
+pub use server::serve;

@@ -9,25 +9,13 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
+use super::adu;
 use super::connection::ModbusConnection;
 use super::context::{ModbusContext, ModbusSettings, NewestSettings};
 use crate::gripper::model::Door;
 use crate::interfaces::accept;
 use crate::interfaces::admission::{Admission, Bounds};
 use crate::interfaces::sockets;
-
-/// Maximum number of descriptors: for 64 clients, and as many that have just connected or are ending.
-pub const MAX_DESCRIPTORS: usize = 128;
-
-/// Listens on an address.
-///
-/// # Errors
-/// The operating system's error.
-pub fn listen(address: SocketAddr) -> io::Result<std::net::TcpListener> {
-    let listener = std::net::TcpListener::bind(address)?;
-    listener.set_nonblocking(true)?;
-    Ok(listener)
-}
 
 /// Accepts clients until `draining`, and serves them until `closing`. They use this many descriptors at most.
 ///
@@ -40,11 +28,12 @@ pub async fn serve(
     (draining, closing): (CancellationToken, CancellationToken),
 ) -> io::Result<()> {
     let (listener, settings) = (TcpListener::from_std(listener)?, NewestSettings::of(settings));
-    let admission = Admission::new(Bounds::alike(descriptors.min(MAX_DESCRIPTORS)));
-    let admit = |stream, peer| {
-        admit(&context, &settings, &admission, stream, peer).map(|connection| connection.run(closing.clone()))
+    let admission = Admission::new(Bounds::alike(descriptors));
+    let admitting = admission.clone();
+    let admit = move |stream, peer| {
+        admit(&context, &settings, &admitting, stream, peer).map(|connection| connection.run(closing.clone()))
     };
-    let mut clients = accept::each(&listener, &admission, &draining, admit).await;
+    let mut clients = accept::each(&listener, &admission, &draining, adu::begins_with_write, admit).await;
     drop(listener);
     while clients.join_next().await.is_some() {}
     Ok(())

@@ -151,10 +151,11 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             return;
         }
         if self.is_fresh {
-            // The runtime may not have seen yet what an evicted client sent right after it connected, perhaps a FAST
-            // STOP.
+            // The runtime may not have seen yet what an evicted client sent, perhaps a FAST STOP.
             let mut incoming = vec![0; READ_BYTES];
-            if let Ok(Ok(bytes)) = tokio::time::timeout(FIRST_BYTES_WITHIN, self.reader.read(&mut incoming)).await {
+            let slot = self.permit.displaced();
+            let within = if slot.is_some() { FIRST_BYTES_WITHIN } else { Duration::ZERO };
+            if let Ok(Ok(bytes)) = tokio::time::timeout(within, self.reader.read(&mut incoming)).await {
                 self.receive(incoming.get(..bytes).unwrap_or_default());
             }
         }

@@ -8,7 +8,12 @@ use crate::wsg::{Decoded, Decoder, GripperState, HomingDirection, SystemState};
 mod acknowledging;
 
 fn rules() -> Rules {
-    Rules { checksum_evaluation: true, acknowledge_any: false, allow: Vec::new(), limits: AllowedLimits::All }
+    Rules {
+        checksum_evaluation: true,
+        acknowledge_any: false,
+        allow: Vec::new(),
+        limits: super::super::port::AllowedLimits::All,
+    }
 }
 
 /// One script that only reads and one that is streamed; all others are motions.

@@ -10,6 +10,7 @@ use tokio_util::sync::CancellationToken;
 use super::port::Port;
 use super::udp::Datagrams;
 use super::{tcp, udp};
+use crate::interfaces::accept;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ListenAddress {
@@ -54,11 +55,7 @@ pub enum Listener {
 impl Listener {
     pub fn bind(address: ListenAddress) -> io::Result<Self> {
         Ok(match address {
-            ListenAddress::Tcp(address) => {
-                let listener = TcpListener::bind(address)?;
-                listener.set_nonblocking(true)?;
-                Self::Tcp(listener)
-            }
+            ListenAddress::Tcp(address) => Self::Tcp(accept::listen(address)?),
             ListenAddress::Udp(address, datagrams) => {
                 let socket = UdpSocket::bind(address)?;
                 socket.set_nonblocking(true)?;

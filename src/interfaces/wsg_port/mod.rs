@@ -26,5 +26,5 @@ mod unreachable;
 mod values;
 
 pub use listener::{ListenAddress, Listener, serve};
-pub use port::{AllowedLimits, LOST_AFTER, MAX_DESCRIPTORS, MIN_DESCRIPTORS, Port, Rules};
+pub use port::{AllowedLimits, LOST_AFTER, Port, Rules};
 pub use udp::Datagrams;

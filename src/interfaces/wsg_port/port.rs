@@ -16,18 +16,6 @@ use crate::interfaces::peers::KnownPeers;
 use crate::interfaces::sockets;
 use crate::operations::audit::Audit;
 
-/// Maximum number of clients of one port. Only one of them moves the gripper, so there are seldom more than a few.
-const MAX_CLIENTS: usize = 128;
-
-/// Slots for clients that have sent nothing yet, and for evicted clients, which end within milliseconds. A new client's
-/// FAST STOP must not wait for them.
-const OTHER_CLIENTS: usize = 128;
-
-/// Maximum number of descriptors for one port's TCP clients.
-pub const MAX_DESCRIPTORS: usize = MAX_CLIENTS + OTHER_CLIENTS;
-/// Minimum number of descriptors for one port's TCP clients.
-pub const MIN_DESCRIPTORS: usize = 4;
-
 /// Silence after which a client's lease is lost: no TCP acknowledgements, or no datagrams unless configured otherwise.
 pub const LOST_AFTER: Duration = sockets::LOST_AFTER;
 
@@ -73,7 +61,7 @@ impl Port {
         descriptors: usize,
         (audit, access, metrics): (Arc<Audit>, Arc<Access>, WsgPortMetrics),
     ) -> Arc<Self> {
-        let descriptors = descriptors.clamp(MIN_DESCRIPTORS, MAX_DESCRIPTORS);
+        let descriptors = descriptors.clamp(Bounds::MIN_ALIKE, Bounds::MAX_ALIKE);
         let peers = KnownPeers::new(rules.allow.clone(), access);
         Arc::new(Self { gripper, rules, descriptors, audit, peers, metrics })
     }

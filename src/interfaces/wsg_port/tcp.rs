@@ -15,6 +15,9 @@ use super::port::{LOST_AFTER, Port};
 use crate::interfaces::accept;
 use crate::interfaces::admission::Admission;
 use crate::interfaces::sockets;
+use crate::wsg::frame::{OVERHEAD_BYTES, PREAMBLE};
+use crate::wsg::id;
+use crate::wsg::opening::MAX_NOISE_BYTES;
 
 pub(super) async fn serve(
     port: Arc<Port>,
@@ -23,11 +26,18 @@ pub(super) async fn serve(
     closing: CancellationToken,
 ) -> Option<TcpListener> {
     let admission = port.admission();
-    let admit = |stream, peer| admit(&port, stream, peer, &admission).map(|served| served.run(closing.clone()));
-    let mut clients = accept::each(&listener, &admission, &draining, admit).await;
+    let (admitting, ends) = (admission.clone(), closing.clone());
+    let admit = move |stream, peer| admit(&port, stream, peer, &admitting).map(|served| served.run(ends.clone()));
+    let mut clients = accept::each(&listener, &admission, &draining, begins_with_fast_stop, admit).await;
     let listener = closing.is_cancelled().then_some(listener);
     while clients.join_next().await.is_some() {}
     listener
+}
+
+/// Whether a connection begins with a whole FAST STOP, perhaps behind noise.
+fn begins_with_fast_stop(first: &[u8]) -> bool {
+    let begin = [&PREAMBLE[..], &[id::FAST_STOP]].concat();
+    first.windows(OVERHEAD_BYTES).take(MAX_NOISE_BYTES + 1).any(|frame| frame.starts_with(&begin))
 }
 
 type Connection = Served<CheckedReader<OwnedReadHalf>, OwnedWriteHalf>;

@@ -24,6 +24,7 @@ use super::client::Served;
 use super::port::Port;
 use super::unreachable::{self, DeliveryError, Outage};
 use crate::gripper::clock;
+use crate::interfaces::admission;
 use crate::wsg::Opening;
 
 /// Settings for UDP clients.
@@ -60,7 +61,7 @@ struct WarnedHosts(BTreeSet<IpAddr>);
 impl WarnedHosts {
     /// Whether this is the first warning for the host.
     fn is_first(&mut self, host: IpAddr) -> bool {
-        self.0.len() < MAX_WARNED && self.0.insert(host)
+        self.0.len() < MAX_WARNED && self.0.insert(admission::peer(host))
     }
 }
 

@@ -80,7 +80,8 @@ async fn garbage_closes_only_its_own_connection() {
 async fn lease_holder_is_not_evicted() {
     let (cell, mut plc) = Cell::homed().await;
     let mut crowd = Vec::new();
-    for _ in 0..150 {
+    // More than the 512 clients that are kept.
+    for _ in 0..530 {
         let mut other = Plc::connect(cell.address).await;
         other.seen().await;
         crowd.push(other);

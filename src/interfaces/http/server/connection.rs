@@ -91,17 +91,19 @@ impl Server {
         permit: Arc<ConnectionPermit>,
         connected: Connected,
     ) {
-        let Begun { mut stream, certificate, is_fast_stop } = begun;
+        let Begun { mut stream, certificate, is_fast_stop, is_whole } = begun;
         let runtimes = &self.context.runtimes;
-        let runtime = if is_fast_stop { runtimes.accept.clone() } else { runtimes.requests.clone() };
+        // An unfinished FAST STOP is carried out on the requests' runtime, so that a flood of them delays no whole one.
+        let runtime = if is_whole { runtimes.accept.clone() } else { runtimes.requests.clone() };
         let (moves, home) = watch::channel(runtime.clone());
+        let has_request = Arc::<AtomicBool>::default();
         let service = Requests {
             server: self.clone(),
             origin: ClientOrigin { certificate, ..peer.ip().into() },
             permit: permit.clone(),
             mover: RuntimeMover::new(moves),
             pace: Arc::default(),
-            has_served: Arc::default(),
+            has_request: has_request.clone(),
             gone: match &mut stream {
                 Either::Left(stream) => stream.gone(),
                 Either::Right(stream) => stream.below().gone(),
@@ -117,7 +119,17 @@ impl Server {
             .serve_connection(TokioIo::new(stream), service)
             .with_upgrades();
         let http = Box::pin(http);
-        let connection = Connection { server: self, peer, permit, is_fast_stop, http, home, _connected: connected };
+        let connection = Connection {
+            server: self,
+            peer,
+            permit,
+            is_fast_stop,
+            is_whole,
+            has_request,
+            http,
+            home,
+            _connected: connected,
+        };
         drop(runtime.spawn(connection.run()));
     }
 }
@@ -129,6 +141,10 @@ struct Connection {
     permit: Arc<ConnectionPermit>,
     /// Whether the connection began with a FAST STOP.
     is_fast_stop: bool,
+    /// Whether this FAST STOP had arrived as a whole.
+    is_whole: bool,
+    /// Whether the head of a request has arrived.
+    has_request: Arc<AtomicBool>,
     http: Pin<Box<http1::UpgradeableConnection<TokioIo<ClientStream>, Requests>>>,
     home: watch::Receiver<Handle>,
     _connected: Connected,
@@ -141,7 +157,13 @@ impl Connection {
             let ended = tokio::select! {
                 biased;
                 ended = self.http.as_mut() => ended,
-                () = self.permit.evicted() => self.leave().await,
+                () = self.permit.evicted() => {
+                    let ended = self.leave().await;
+                    // Closes the socket. A FAST STOP may still be in progress, but it needs no slot any more.
+                    drop(self.http);
+                    self.permit.closed();
+                    ended
+                }
                 Ok(()) = self.home.changed() => {
                     let runtime = self.home.borrow_and_update().clone();
                     drop(runtime.spawn(self.run()));
@@ -155,18 +177,22 @@ impl Connection {
         run.boxed()
     }
 
-    /// Ends the connection: at once if it has no request, else after the response.
+    /// Ends the connection: at once if it has no whole request, else after the response. A FAST STOP whose body is
+    /// unfinished is carried out nevertheless.
     async fn leave(&mut self) -> hyper::Result<()> {
+        let has_request = self.has_request.load(Ordering::Relaxed);
         let limit = if self.server.closing.is_cancelled() {
             self.server.limits.shutdown_time
-        } else if self.is_fast_stop {
+        } else if self.is_whole || self.permit.has_whole_request() {
+            self.permit.linger_for_answer()
+        } else if self.is_fast_stop && !has_request {
             self.permit.linger_for_fast_stop()
         } else if !self.permit.is_unused() {
             self.permit.linger()
         } else {
             return Ok(());
         };
-        if !self.permit.is_unused() || !self.is_fast_stop {
+        if has_request || !self.is_fast_stop {
             self.http.as_mut().graceful_shutdown();
         }
         timeout(limit, self.http.as_mut()).await.unwrap_or(Ok(()))
@@ -180,8 +206,8 @@ struct Requests {
     permit: Arc<ConnectionPermit>,
     mover: RuntimeMover,
     pace: Arc<RequestPace>,
-    /// Whether a request has arrived.
-    has_served: Arc<AtomicBool>,
+    /// Whether the head of a request has arrived.
+    has_request: Arc<AtomicBool>,
     /// Cancelled when the client has ended the connection, although bytes of a further request wait.
     gone: CancellationToken,
 }
@@ -193,7 +219,7 @@ impl Service<Request<Incoming>> for Requests {
 
     fn call(&self, mut request: Request<Incoming>) -> Self::Future {
         // A connection that continues after its first FAST STOP is treated like all others.
-        if self.has_served.swap(true, Ordering::Relaxed) || !is_fast_stop(&request) {
+        if self.has_request.swap(true, Ordering::Relaxed) || !is_fast_stop(&request) {
             self.mover.leave(&self.server.context.runtimes.accept, &self.server.context.runtimes.requests);
         }
         if !request.body().is_end_stream() {

@@ -7,7 +7,6 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bytes::BytesMut;
-use rustix::net::RecvFlags;
 use socket2::SockRef;
 use tokio::io::AsyncReadExt as _;
 use tokio::net::TcpStream;
@@ -17,11 +16,12 @@ use tokio_rustls::LazyConfigAcceptor;
 use tokio_rustls::rustls::server::Acceptor;
 use tokio_util::task::AbortOnDropHandle;
 
-use super::super::fast_stop::may_be_fast_stop;
+use super::super::fast_stop::{begins_with_fast_stop, may_be_fast_stop};
 use super::super::handshakes::Handshakes;
 use super::super::redirect;
 use super::super::settings::HttpSettings;
 use crate::access::ClientCertificate;
+use crate::interfaces::accept::{FIRST_BYTES, FIRST_BYTES_WITHIN, peek_now};
 use crate::interfaces::admission::ConnectionPermit;
 use crate::interfaces::client_stream::{ClientStream, EncryptedStream};
 use crate::interfaces::quick_ack::QuickAckStream;
@@ -32,11 +32,8 @@ use crate::interfaces::tls::holder;
 #[cfg(target_os = "linux")]
 const MAX_UNSENT_BYTES: u32 = 16 * 1024;
 
-/// Bytes of a request that are searched for a FAST STOP, whose longest path has 111 bytes.
-pub(super) const FIRST_BYTES: usize = 256;
-
-/// Time for the rest of a first line to arrive after its beginning.
-pub(super) const FIRST_LINE_WITHIN: Duration = Duration::from_millis(20);
+/// Time for the rest of a FAST STOP whose first bytes have arrived. It is short, since a FAST STOP waits for nothing else.
+const REST_WITHIN: Duration = Duration::from_millis(1);
 
 /// Time after which a handshake's turn ends although it continues: a client that has gone silent needs no processor.
 const HANDSHAKE_TURN: Duration = Duration::from_millis(5);
@@ -50,6 +47,8 @@ pub(super) struct Begun {
     pub(super) certificate: Option<ClientCertificate>,
     /// Whether the connection begins with a FAST STOP.
     pub(super) is_fast_stop: bool,
+    /// Whether this FAST STOP has arrived as a whole.
+    pub(super) is_whole: bool,
 }
 
 /// Result of an inspection.
@@ -84,16 +83,22 @@ pub(super) async fn inspect(
     }
     if !first.contains(&b'\n') && seen < FIRST_BYTES {
         // The first line can arrive in two packets.
-        sleep(FIRST_LINE_WITHIN).await;
+        sleep(FIRST_BYTES_WITHIN).await;
+        seen = peek_now(&stream, &mut first);
+    }
+    if may_be_fast_stop(&first) && !begins_with_fast_stop(first.get(..seen).unwrap_or_default()) {
+        // Many clients send head and body one right after the other.
+        sleep(REST_WITHIN).await;
         seen = peek_now(&stream, &mut first);
     }
     // A connection that sends nothing never gets here and costs no call.
     if prepare(&stream, peer).is_none() {
         return Inspected::Ended;
     }
-    let is_fast_stop = may_be_fast_stop(first.get(..seen).unwrap_or_default());
+    let first = first.get(..seen).unwrap_or_default();
+    let (is_fast_stop, is_whole) = (may_be_fast_stop(first), begins_with_fast_stop(first));
     let stream = ClientStream::Left(QuickAckStream::new(stream));
-    Inspected::Begun(Begun { stream, certificate: None, is_fast_stop })
+    Inspected::Begun(Begun { stream, certificate: None, is_fast_stop, is_whole })
 }
 
 /// Performs a TLS handshake, and reads the first line behind it. A client that does not speak TLS is redirected.
@@ -127,6 +132,10 @@ pub(super) async fn decrypt(
                 return Err(io::ErrorKind::UnexpectedEof.into());
             }
         }
+        if may_be_fast_stop(&first) && !begins_with_fast_stop(&first) {
+            // An error shows in the next read.
+            let _ = timeout(REST_WITHIN, stream.read_buf(&mut first)).await;
+        }
         io::Result::Ok((first.freeze(), stream))
     };
     // A handshake takes as much processor time as many requests, and a FAST STOP must not wait for it.
@@ -140,9 +149,9 @@ pub(super) async fn decrypt(
     let (first, stream) =
         handshake.ok()?.inspect_err(|error| tracing::debug!(%peer, %error, "no TLS connection")).ok()?;
     let certificate = stream.get_ref().1.peer_certificates().and_then(|chain| holder(chain.first()?));
-    let is_fast_stop = may_be_fast_stop(&first);
+    let (is_fast_stop, is_whole) = (may_be_fast_stop(&first), begins_with_fast_stop(&first));
     let stream = ClientStream::Right(Box::new(EncryptedStream::new(first, stream)));
-    Some(Begun { stream, certificate, is_fast_stop })
+    Some(Begun { stream, certificate, is_fast_stop, is_whole })
 }
 
 /// Sets a connection's options. Responses are small and awaited. An open request keeps a lease, so a vanished client
@@ -154,11 +163,6 @@ fn prepare(stream: &TcpStream, peer: SocketAddr) -> Option<()> {
     }
     set_unsent_limit(stream);
     Some(())
-}
-
-/// Peeks without waiting for tokio's readiness, which a fresh stream does not have yet.
-pub(super) fn peek_now(stream: &TcpStream, buffer: &mut [u8]) -> usize {
-    rustix::net::recv(stream, buffer, RecvFlags::PEEK | RecvFlags::DONTWAIT).map_or(0, |(_, bytes)| bytes)
 }
 
 /// Limits the unsent bytes in the kernel, which would be stale before the client reads them and defeat newest-wins.

@@ -1,7 +1,7 @@
 //! The HTTP server: accepts connections, and serves each on the matching runtime.
 //!
 //! `axum::serve` bounds neither connections nor the time for a request's header, so this builds on hyper. [`Admission`]
-//! admits connections. The server inspects the first bytes of each. A connection that begins with a FAST STOP is served
+//! admits connections. The server inspects the first bytes of each. A connection that begins with a whole FAST STOP is served
 //! on the accepting runtime, which does nothing else; all others move to
 //! [`Runtimes::requests`](crate::interfaces::Runtimes::requests). A connection that streams updates moves to
 //! [`Runtimes::observers`](crate::interfaces::Runtimes::observers).
@@ -14,49 +14,32 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
-use tokio::net::{TcpListener, TcpSocket, TcpStream};
+use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{OwnedSemaphorePermit, watch};
-use tokio::time::{Instant, sleep, timeout};
+use tokio::time::{sleep, timeout};
 use tokio_util::sync::CancellationToken;
 
 use super::context::HttpContext;
-use super::fast_stop::may_be_fast_stop;
+use super::fast_stop::{begins_with_fast_stop, may_be_fast_stop};
 use super::handshakes::Handshakes;
 use super::router::router;
 use super::settings::HttpSettings;
-use crate::interfaces::admission::{Admission, ConnectionPermit, Patience, Usage};
+use crate::interfaces::accept::{self, Acceptor};
+use crate::interfaces::admission::{Admission, ConnectionPermit, Usage};
 use crate::interfaces::metrics::Connected;
 use connection::Server;
 pub use connection::ServerLimits;
-use inspection::{Begun, FIRST_BYTES, FIRST_LINE_WITHIN, Inspected, decrypt, inspect, peek_now};
-
-/// Connections that the kernel queues until they are accepted. A FAST STOP waits in this queue during a flood of
-/// connects, so a larger backlog delays it longer.
-const BACKLOG: u32 = 2048;
-
-/// Pause after a failed accept: long enough not to spin while the process is out of file descriptors, short enough not
-/// to be noticed.
-const ACCEPT_PAUSE: Duration = Duration::from_millis(5);
+use inspection::{Begun, Inspected, decrypt, inspect};
 
 /// Extra time that the server waits for its connections beyond their own shutdown time.
 const SHUTDOWN_SLACK: Duration = Duration::from_millis(100);
-
-/// Time that accepting waits for evicted connections to end.
-const ROOM_WITHIN: Duration = Duration::from_millis(10);
-
-/// Pause after a wait for evicted connections that freed nothing.
-const STALLED_FOR: Duration = Duration::from_millis(200);
 
 /// Time for a TLS handshake and the first line behind it while too many connections are leaving.
 const HANDSHAKE_IN_CROWD: Duration = Duration::from_millis(500);
 
 /// Returns a listener on this address, on the caller's runtime.
 pub fn listen(address: SocketAddr) -> io::Result<TcpListener> {
-    let socket = if address.is_ipv4() { TcpSocket::new_v4() } else { TcpSocket::new_v6() }?;
-    // A restarted gateway must not wait for the connections of its last run to time out.
-    socket.set_reuseaddr(true)?;
-    socket.bind(address)?;
-    socket.listen(BACKLOG)
+    TcpListener::from_std(accept::listen(address)?)
 }
 
 /// The listener, which a reload can replace.
@@ -83,15 +66,10 @@ pub async fn serve(listeners: Listeners, context: Arc<HttpContext>, limits: Serv
 
 impl Server {
     async fn accept_all(self: &Arc<Self>, mut listeners: Listeners) {
-        let (mut stalled_at, mut patience) = (None::<Instant>, Patience::default());
+        let mut acceptor = Acceptor::default();
         let mut listener = listeners.borrow_and_update().clone();
         loop {
-            // Evicted connections usually end at once.
-            if self.admission.is_crowded() && stalled_at.is_none_or(|at| at.elapsed() > STALLED_FOR) {
-                let has_room = timeout(ROOM_WITHIN, self.admission.has_room()).await.is_ok();
-                stalled_at = (!has_room).then(Instant::now);
-            }
-            patience.wait(&self.admission).await;
+            acceptor.ready(&self.admission).await;
             let accepted = tokio::select! {
                 biased;
                 accepted = listener.accept() => accepted,
@@ -104,7 +82,7 @@ impl Server {
                 Ok((stream, peer)) if self.admission.is_crowded() => {
                     // Evicted connections end on the request runtimes, which can be busy. A FAST STOP must not wait for
                     // them.
-                    let slot = self.reserved_for(&stream).or_else(|| self.admission.displaced());
+                    let slot = accept::slot_in_crowd(&self.admission, &stream, begins_with_fast_stop);
                     self.await_fast_stop(stream, peer, slot);
                 }
                 Ok((stream, peer)) => {
@@ -112,25 +90,12 @@ impl Server {
                     let connected = self.context.metrics.connected();
                     tokio::spawn(self.clone().begin(stream, peer, permit, connected));
                 }
-                Err(error) => {
-                    tracing::warn!(%error, "connection could not be accepted");
-                    self.admission.evict_one();
-                    sleep(ACCEPT_PAUSE).await;
-                }
+                Err(error) => acceptor.failed(&self.admission, error).await,
             }
         }
     }
 
-    /// Returns a slot for inspecting a connection when all others are taken. A connection whose first line is already a
-    /// FAST STOP can use slots that others can't.
-    fn reserved_for(&self, stream: &TcpStream) -> Option<OwnedSemaphorePermit> {
-        let mut first = [0; FIRST_BYTES];
-        let seen = peek_now(stream, &mut first);
-        let first = first.get(..seen)?;
-        self.admission.reserved(first.contains(&b'\n') && may_be_fast_stop(first))
-    }
-
-    /// Keeps a connection for up to [`FIRST_LINE_WITHIN`] if it has a slot (with TLS [`HANDSHAKE_IN_CROWD`]), and serves
+    /// Keeps a connection for up to [`accept::FIRST_BYTES_WITHIN`] if it has a slot (with TLS [`HANDSHAKE_IN_CROWD`]), and serves
     /// it if it begins with a FAST STOP.
     fn await_fast_stop(self: &Arc<Self>, stream: TcpStream, peer: SocketAddr, slot: Option<OwnedSemaphorePermit>) {
         if let Some(slot) = slot {
@@ -148,9 +113,8 @@ impl Server {
                 self.clone().serve(begun, peer, admit(), self.context.metrics.connected());
             }
         } else {
-            let mut first = [0; FIRST_BYTES];
-            let seen = timeout(FIRST_LINE_WITHIN, stream.peek(&mut first)).await.map_or(0, Result::unwrap_or_default);
-            if may_be_fast_stop(first.get(..seen).unwrap_or_default()) {
+            let is_served = accept::brings_fast_stop(&stream, may_be_fast_stop).await;
+            if is_served {
                 self.clone().begin(stream, peer, admit(), self.context.metrics.connected()).await;
             }
         }
@@ -189,7 +153,8 @@ impl Server {
             }
         };
         if let Some(begun) = begun {
-            if !begun.is_fast_stop {
+            // Only a whole FAST STOP keeps the rights of a connection that may still bring one.
+            if !begun.is_whole {
                 permit.begun();
             }
             self.serve(begun, peer, permit, connected);
