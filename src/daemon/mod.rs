@@ -65,7 +65,7 @@ pub fn run(flags: &Flags) -> anyhow::Result<()> {
     let config = Config::load(flags)?;
     check(&config)?;
     let shares = descriptors::share_out(&config)?;
-    let runtimes = runtimes::Owned::start()?;
+    let runtimes = runtimes::Owned::start(config.modbus.is_some())?;
     runtimes.requests.block_on(run_gateway(flags, config, &runtimes, shares))?;
     runtimes.end();
     Ok(())
@@ -287,8 +287,8 @@ async fn start(
     let modbus_address = modbus.as_ref().map(BoundModbus::address).transpose()?;
     announce::announce(&config, address, &ports, modbus_address)?;
     let tokens = (draining.clone(), shutdown.clone());
-    let serve = |modbus: BoundModbus| modbus.serve(&config, &context, runtimes.devices.handle(), tokens);
-    let modbus = modbus.map(serve).transpose()?.flatten();
+    let serve = |(modbus, runtime): (BoundModbus, &Handle)| modbus.serve(&config, &context, runtime, tokens);
+    let modbus = modbus.zip(runtimes.modbus()).map(serve).transpose()?.flatten();
     // Zenoh has a task of its own, so the rest continues whatever happens to Zenoh.
     let zenoh =
         on_zenoh.map(|(settings, context)| tokio::spawn(zenoh::serve(settings, context, announce::announce_zenoh)));

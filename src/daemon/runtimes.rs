@@ -2,7 +2,7 @@
 
 use std::io;
 
-use tokio::runtime::{Builder, Runtime};
+use tokio::runtime::{Builder, Handle, Runtime};
 
 use crate::interfaces::Runtimes;
 
@@ -21,10 +21,12 @@ pub(super) struct Owned {
     sockets: Runtime,
     observers: Runtime,
     publications: Runtime,
+    /// `None` without Modbus.
+    modbus: Option<Runtime>,
 }
 
 impl Owned {
-    pub(super) fn start() -> io::Result<Self> {
+    pub(super) fn start(has_modbus: bool) -> io::Result<Self> {
         Ok(Self {
             devices: single("device").build()?,
             requests: Builder::new_multi_thread().event_interval(EVENT_INTERVAL).enable_all().build()?,
@@ -35,7 +37,13 @@ impl Owned {
             observers: single("observers").on_thread_start(yield_to_others).build()?,
             // Zenoh has sockets of its own, so this runtime needs no descriptors for any.
             publications: thread("publications").enable_time().on_thread_start(yield_to_others).build()?,
+            modbus: has_modbus.then(|| single("modbus").event_interval(EVENT_INTERVAL).build()).transpose()?,
         })
+    }
+
+    /// The runtime of Modbus, if it is configured.
+    pub(super) fn modbus(&self) -> Option<&Handle> {
+        self.modbus.as_ref().map(Runtime::handle)
     }
 
     pub(super) fn of_clients(&self) -> Runtimes {
@@ -49,7 +57,8 @@ impl Owned {
     }
 
     pub(super) fn end(self) {
-        for runtime in [self.publications, self.observers, self.sockets, self.accept, self.requests, self.devices] {
+        let clients = [self.publications, self.observers, self.sockets, self.accept, self.requests];
+        for runtime in clients.into_iter().chain(self.modbus).chain([self.devices]) {
             runtime.shutdown_background();
         }
     }

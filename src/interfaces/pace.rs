@@ -41,10 +41,14 @@ impl RequestPace {
 
     /// Waits until the next FAST STOP is due.
     pub async fn next_fast_stop(&self) {
-        let due = advance(&mut self.state().fast_stop_arrival, Instant::now(), FAST_STOP_INTERVAL, FAST_STOP_BURST);
-        if let Some(at) = due {
+        if let Some(at) = self.fast_stop_due(Instant::now()) {
             sleep_until(at).await;
         }
+    }
+
+    /// Counts a FAST STOP and returns when it is due, or `None` if it is due at once.
+    pub fn fast_stop_due(&self, now: Instant) -> Option<Instant> {
+        advance(&mut self.state().fast_stop_arrival, now, FAST_STOP_INTERVAL, FAST_STOP_BURST)
     }
 
     /// Delays the next request of this connection, unless it is urgent.

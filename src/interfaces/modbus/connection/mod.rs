@@ -4,7 +4,7 @@ mod orders;
 mod pending;
 mod requests;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::convert::Infallible;
 use std::io::{self, ErrorKind};
 use std::net::IpAddr;
@@ -30,6 +30,7 @@ use super::image::Image;
 use crate::gripper::clock;
 use crate::gripper::model::{Client, LeaseToken, LossCause, Name};
 use crate::interfaces::admission::{Claim, ConnectionPermit};
+use crate::interfaces::pace::RequestPace;
 use crate::operations::ConnectionLease;
 use pending::{OrderStep, Unanswered};
 
@@ -39,8 +40,8 @@ const TAKEN_WITHIN: Duration = Duration::from_secs(1);
 /// Time after which a connection without requests and leases is closed.
 const IDLE_LIMIT: Duration = Duration::from_mins(1);
 
-/// Steps for one client before another client's turn, so that no client can delay a gripper.
-const TURN: u32 = 16;
+/// Requests that are read one after the other after a stall of the gateway.
+const MAX_READ_AFTER_STALL: usize = 16;
 
 /// Time in which the first bytes of an evicted client must arrive.
 const FIRST_BYTES_WITHIN: Duration = Duration::from_millis(10);
@@ -83,6 +84,9 @@ pub(super) struct ModbusConnection {
     under_way: FuturesUnordered<BoxFuture<'static, OrderStep>>,
     /// The request that waits for its answer.
     unanswered: Option<Unanswered>,
+    pace: RequestPace,
+    /// Time before which no further request is read, because the client exceeds the rate limit.
+    paced_until: Option<Instant>,
     heard: Instant,
     /// Whether the client has sent nothing yet.
     is_fresh: bool,
@@ -127,6 +131,8 @@ impl ModbusConnection {
             images: BTreeMap::new(),
             under_way: FuturesUnordered::new(),
             unanswered: None,
+            pace: RequestPace::default(),
+            paced_until: None,
             heard: clock::instant(),
             is_fresh: true,
         }
@@ -158,13 +164,15 @@ impl ModbusConnection {
 
     /// Performs the FAST STOPs among the last requests that the client sent before it disconnected.
     async fn take_last_fast_stops(&mut self) {
-        let mut waits = if self.is_fresh { FIRST_BYTES_WITHIN } else { Duration::ZERO };
+        let mut stopped = BTreeSet::new();
+        let slot = if self.is_fresh { self.permit.displaced() } else { None };
+        let mut waits = if slot.is_some() { FIRST_BYTES_WITHIN } else { Duration::ZERO };
         for _ in 0..MAX_LAST_REQUESTS {
             let Ok(Some(Ok(frame))) = timeout(waits, self.frames.next()).await else { return };
             waits = Duration::ZERO;
             // Behind bytes that are not Modbus, nothing is a request.
             let Ok((header, request)) = adu::parse(frame.freeze()) else { return };
-            self.perform_fast_stops(header, request);
+            self.perform_fast_stops(header, request, &mut stopped);
         }
     }
 
@@ -182,12 +190,9 @@ impl ModbusConnection {
         tokio::pin!(closed, evicted, timer);
         let mut rights_checks = interval(RIGHTS_CHECKED_EVERY);
         rights_checks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        let mut steps = 0;
         loop {
-            steps = (steps + 1) % TURN;
-            if steps == 0 {
-                tokio::task::yield_now().await;
-            }
+            // Another client's turn, since its next request can be a FAST STOP.
+            tokio::task::yield_now().await;
             self.leases.retain(|_, held| held.lease.is_held());
             let holds_lease = !self.leases.is_empty();
             let is_free = self.is_free();
@@ -221,25 +226,26 @@ impl ModbusConnection {
 
     /// Whether the next request can be performed.
     fn is_free(&self) -> bool {
-        self.unanswered.is_none() && self.under_way.len() < MAX_UNDER_WAY
+        self.unanswered.is_none() && self.under_way.len() < MAX_UNDER_WAY && self.paced_until.is_none()
     }
 
     /// Time at which there is something to do without an input.
     fn due(&self) -> Instant {
         let answer_at = self.unanswered.as_ref().map(|unanswered| unanswered.until);
-        let times = [answer_at, self.lost_at()].into_iter().flatten();
+        let times = [answer_at, self.lost_at(), self.paced_until].into_iter().flatten();
         times.fold(self.heard + IDLE_LIMIT, Instant::min)
     }
 
     async fn handle_timeout(&mut self) -> Result<(), ConnectionEnd> {
         let now = clock::instant();
+        self.paced_until.take_if(|until| *until <= now);
         if self.unanswered.as_ref().is_some_and(|unanswered| unanswered.until <= now) {
             self.answer().await?;
         }
         // After a stall of the gateway, heartbeats can be waiting, and the runtime may not have noticed them yet.
         let is_late = self.lost_at().is_some_and(|lost_at| lost_at + LATE < now);
         let until = if is_late { now + NOTICED_WITHIN } else { now };
-        for _ in 0..TURN {
+        for _ in 0..MAX_READ_AFTER_STALL {
             if !self.is_free() {
                 break;
             }
@@ -269,6 +275,7 @@ impl ModbusConnection {
             Some(Err(_)) | None => return Err(ConnectionEnd::Gone),
         };
         self.heard = clock::instant();
+        self.delay_next(self.pace.due(self.heard.into(), false));
         self.permit.heard();
         self.is_fresh = false;
         let Ok((header, request)) = adu::parse(frame.clone()) else {
@@ -280,6 +287,11 @@ impl ModbusConnection {
             Ok(None) => Ok(()),
             Err(exception) => self.send(header, Err(exception)).await,
         }
+    }
+
+    /// Reads no further request before this time.
+    pub(super) fn delay_next(&mut self, until: Option<tokio::time::Instant>) {
+        self.paced_until = self.paced_until.max(until.map(tokio::time::Instant::into_std));
     }
 
     async fn send(&mut self, header: Header, response: Result<&[u8], ExceptionCode>) -> Result<(), ConnectionEnd> {

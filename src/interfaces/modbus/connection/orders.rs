@@ -12,7 +12,7 @@ use super::super::order::ModbusOrder;
 use super::pending::{OrderKind, OrderStep, Target};
 use super::{ClientLease, ModbusConnection};
 use crate::gripper::model::{LeaseToken, LossCause, Name, TakeLease};
-use crate::gripper::{AcquiredLease, Handle};
+use crate::gripper::{AcquiredLease, Handle, clock};
 use crate::interfaces::admission::Class;
 use crate::operations::{Caller, Code, ConnectionLease, Effect, OperationReply, call};
 
@@ -32,6 +32,8 @@ impl ModbusConnection {
 
     /// Requests a FAST STOP, which runs to its end even if the connection ends.
     pub(super) fn fast_stop(&mut self, target: &Target) {
+        // A FAST STOP itself never waits.
+        self.delay_next(self.pace.fast_stop_due(clock::instant().into()));
         let (gateway, caller) = (self.context.gateway.clone(), self.caller());
         let mut params = Map::from_iter([("reason".to_owned(), json!("Modbus"))]);
         if let Target::Gripper(gripper) = target {

@@ -1,5 +1,6 @@
 //! Requests: reads and writes of registers, and their responses.
 
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 use bytes::Bytes;
@@ -12,7 +13,7 @@ use super::super::registers::{FAST_STOP_AT, GATEWAY_UNITS, INPUTS_AT, UnitRegist
 use super::super::status::{self, GripperView};
 use super::pending::{ReplyAfterWrite, Target, Unanswered};
 use super::{ConnectionEnd, ModbusConnection};
-use crate::gripper::model::State;
+use crate::gripper::model::{Name, State};
 use crate::gripper::{Handle, Now, clock};
 use crate::operations::Code;
 
@@ -72,12 +73,13 @@ impl ModbusConnection {
         }
     }
 
-    /// Performs only the FAST STOPs of a request whose client is gone.
-    pub(super) fn perform_fast_stops(&mut self, header: Header, request: Bytes) {
+    /// Performs only the FAST STOPs of a request whose client is gone, one for each unit.
+    pub(super) fn perform_fast_stops(&mut self, header: Header, request: Bytes, stopped: &mut BTreeSet<Option<Name>>) {
         let Ok(target) = self.target(header.unit) else { return };
         let Some((address, words)) = adu::written(request) else { return };
         let now = clock::instant();
-        if self.image(&target).write(now, address, &words).is_ok_and(|written| written.fast_stop) {
+        let stops = self.image(&target).write(now, address, &words).is_ok_and(|written| written.fast_stop);
+        if stops && stopped.insert(target.gripper()) {
             self.fast_stop(&target);
         }
     }
