@@ -3,14 +3,14 @@
 //! after [`LASTS_AT_MOST`].
 
 use std::io::{BufRead as _, BufReader, Write as _};
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
-use tokio::net::TcpStream;
+use tokio::net::{TcpSocket, TcpStream};
 use tokio::sync::Mutex;
 use tokio::time::{Interval, MissedTickBehavior, interval, sleep, timeout};
 
@@ -35,6 +35,9 @@ const CONNECTS_WITHIN: Duration = Duration::from_secs(5);
 
 /// Prefix of output lines that do not come from the test harness.
 const MARK: &str = "ATTACK ";
+
+/// Separator between the name of an attack and the address that its members connect from, as in `idle@127.0.0.2`.
+const FROM: char = '@';
 
 /// Environment variable that makes this program an attacker.
 const ATTACK: &str = "WSG_ATTACK";
@@ -110,6 +113,8 @@ impl Drop for Attacker {
 #[derive(Debug)]
 pub struct Crowd {
     pub address: SocketAddr,
+    /// Address that the members connect from, if it is not the usual one.
+    from: Option<IpAddr>,
     /// Target number of members.
     pub count: usize,
     inside: AtomicUsize,
@@ -155,7 +160,7 @@ impl Crowd {
             tokio::spawn(async move {
                 loop {
                     crowd.pace.lock().await.tick().await;
-                    if let Ok(Ok(stream)) = timeout(CONNECTS_WITHIN, TcpStream::connect(crowd.address)).await {
+                    if let Ok(Ok(stream)) = timeout(CONNECTS_WITHIN, crowd.connect()).await {
                         crowd.opened();
                         // Retry however the member ended.
                         let _ = member(crowd.clone(), index, stream).await;
@@ -164,6 +169,36 @@ impl Crowd {
                 }
             });
         }
+    }
+
+    /// Like [`Crowd::each`], but opens and reopens connections as fast as possible.
+    pub fn each_at_once<F, M>(self: &Arc<Self>, count: usize, member: M)
+    where
+        F: Future<Output = std::io::Result<()>> + Send,
+        M: Fn(Arc<Self>, usize, TcpStream) -> F + Clone + Send + Sync + 'static,
+    {
+        for index in 0..count {
+            let (crowd, member) = (self.clone(), member.clone());
+            tokio::spawn(async move {
+                loop {
+                    if let Ok(Ok(stream)) = timeout(CONNECTS_WITHIN, crowd.connect()).await {
+                        crowd.opened();
+                        // Closed by a reset, which leaves no port in TIME_WAIT.
+                        let _ = stream.set_zero_linger();
+                        let _ = member(crowd.clone(), index, stream).await;
+                    } else {
+                        sleep(AGAIN_AFTER).await;
+                    }
+                }
+            });
+        }
+    }
+
+    async fn connect(&self) -> std::io::Result<TcpStream> {
+        let Some(from) = self.from else { return TcpStream::connect(self.address).await };
+        let socket = TcpSocket::new_v4()?;
+        socket.bind((from, 0).into())?;
+        socket.connect(self.address).await
     }
 
     fn tell(&self) {
@@ -180,12 +215,13 @@ fn role() {
     let hard = getrlimit(Resource::Nofile).maximum;
     setrlimit(Resource::Nofile, Rlimit { current: hard, maximum: hard }).unwrap();
     let (count, address) = (count.parse().unwrap(), address.parse().unwrap());
+    let (name, from) = name.split_once(FROM).map_or((name, None), |(name, from)| (name, from.parse().ok()));
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
     let _entered = runtime.enter();
     let mut pace = interval(OPENS_EVERY);
     pace.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let (inside, opened, sent) = <(AtomicUsize, AtomicUsize, AtomicUsize)>::default();
-    let crowd = Arc::new(Crowd { address, count, inside, opened, sent, pace: Mutex::new(pace) });
+    let crowd = Arc::new(Crowd { address, from, count, inside, opened, sent, pace: Mutex::new(pace) });
     std::thread::spawn(|| {
         std::thread::sleep(LASTS_AT_MOST + long::soak_time());
         std::process::exit(1);

@@ -20,13 +20,19 @@ const LOOK_EVERY: Duration = Duration::from_millis(20);
 /// Interval of the measurements.
 const MEASURE_EVERY: Duration = Duration::from_millis(50);
 
-/// A gateway that serves two devices as `g` and `h`, with a WSG port for `g`. It is killed by its own id on drop.
+/// A gateway that serves two devices as `g` and `h`, with a WSG port for each, and Modbus. It is killed by its own id on
+/// drop.
 #[derive(Debug)]
 pub struct Gateway {
     child: Child,
     logged: PathBuf,
     pub address: SocketAddr,
+    /// WSG port of `g`.
     pub port: SocketAddr,
+    /// WSG port of `h`, if there is one.
+    pub other_port: Option<SocketAddr>,
+    /// Address of Modbus, where `g` is unit 1 and `h` is unit 2; `None` without Modbus.
+    pub modbus: Option<SocketAddr>,
     pub zenoh: String,
     pub grippers: &'static [&'static str],
 }
@@ -58,7 +64,7 @@ impl Gateway {
         Self::with(&[&serving(g, h)[..], &[journal]].concat(), &["g", "h"], Limits::Inherited)
     }
 
-    /// Starts a gateway with `g` alone.
+    /// Starts a gateway with `g` alone, and without Modbus.
     pub fn of(g: &Device, limits: Limits) -> Self {
         let arguments = [format!("--gripper=g=tcp://{}", g.address), "--wsg-port=g=127.0.0.1:0".to_owned()];
         Self::with(&arguments, &["g"], limits)
@@ -102,7 +108,13 @@ impl Gateway {
         let address = word_after(" at http://").parse().unwrap();
         let port = word_after("WSG port of g: tcp://").parse().unwrap();
         let zenoh = word_after("Zenoh: ");
-        let gateway = Self { child, logged, address, port, zenoh, grippers };
+        let mut served = |argument: &str, before: &str| {
+            let is_served = arguments.iter().any(|given| given.starts_with(argument));
+            is_served.then(|| word_after(before).parse().unwrap())
+        };
+        let other_port = served("--wsg-port=h=", "WSG port of h: tcp://");
+        let modbus = served("--modbus=", "Modbus: ");
+        let gateway = Self { child, logged, address, port, other_port, modbus, zenoh, grippers };
         for gripper in grippers {
             gateway.until_connected(gripper);
         }
@@ -169,12 +181,14 @@ impl Drop for Gateway {
     }
 }
 
-/// Arguments for two devices, `g` with a WSG port.
-fn serving(g: &Device, h: &Device) -> [String; 3] {
+/// Arguments for two devices with WSG ports and Modbus.
+fn serving(g: &Device, h: &Device) -> [String; 5] {
     [
         format!("--gripper=g=tcp://{}", g.address),
         format!("--gripper=h=tcp://{}", h.address),
         "--wsg-port=g=127.0.0.1:0".to_owned(),
+        "--wsg-port=h=127.0.0.1:0".to_owned(),
+        "--modbus=127.0.0.1:0".to_owned(),
     ]
 }
 

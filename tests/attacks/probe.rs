@@ -1,7 +1,7 @@
 //! FAST STOPs over each interface, one at a time. A FAST STOP counts as arrived when the device sees 23h with nothing
 //! latched before: the gateway repeats 23h only for an unconfirmed latch.
 
-use std::io::Write as _;
+use std::io::{Read as _, Write as _};
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
@@ -29,6 +29,9 @@ const ENDS_AFTER: Duration = Duration::from_secs(40);
 /// Pause of a client between connect and first byte, as on a slow line.
 const HESITATES_FOR: Duration = Duration::from_millis(20);
 
+/// Interval of reads on the open Modbus connection.
+const POLLED_EVERY: Duration = Duration::from_secs(10);
+
 /// Time to acknowledge a latch.
 const SETTLES_WITHIN: Duration = Duration::from_secs(5);
 
@@ -41,7 +44,15 @@ pub enum Way {
     OpenWebSocket,
     OpenPort,
     FreshPort,
+    OpenModbus,
+    FreshModbus,
     Zenoh,
+}
+
+impl Way {
+    /// All interfaces other than HTTP. A put to Zenoh stops all grippers, so it comes last.
+    pub const OTHERS: [Self; 6] =
+        [Self::OpenWebSocket, Self::OpenPort, Self::FreshPort, Self::OpenModbus, Self::FreshModbus, Self::Zenoh];
 }
 
 /// FAST STOPs over one interface.
@@ -49,6 +60,9 @@ pub enum Way {
 pub struct Stops {
     pub wanted: usize,
     pub asked: usize,
+    /// Number of those whose client got an answer. Zenoh gives none to a put, which counts as answered once it has
+    /// reached the device.
+    pub answered: usize,
     /// Times of those that reached the device, sorted.
     times: Vec<Duration>,
 }
@@ -73,6 +87,9 @@ pub struct Probe<'a> {
     zenoh: ZenohClient,
     socket: Socket,
     port: TcpStream,
+    modbus: Option<TcpStream>,
+    /// Time of the last request over Modbus.
+    polled_at: Instant,
 }
 
 impl<'a> Probe<'a> {
@@ -81,7 +98,8 @@ impl<'a> Probe<'a> {
         let zenoh = runtime.block_on(ZenohClient::at(&gateway.zenoh));
         let socket = Socket::open(gateway).expect("a WebSocket opens before the attack");
         let port = http::connect(gateway.port).expect("the WSG port accepts before the attack");
-        Self { gateway, device, runtime, zenoh, socket, port }
+        let modbus = gateway.modbus.map(|address| http::connect(address).expect("Modbus accepts before the attack"));
+        Self { gateway, device, runtime, zenoh, socket, port, modbus, polled_at: Instant::now() }
     }
 
     /// Sends a series of FAST STOPs over one interface.
@@ -90,9 +108,12 @@ impl<'a> Probe<'a> {
         let (mut missed, series_begun) = (0, Instant::now());
         while stops.asked < wanted && missed < GIVES_UP_AFTER && series_begun.elapsed() < ENDS_AFTER {
             self.settle("g");
+            self.poll_modbus();
             stops.asked += 1;
             let begun = Instant::now();
-            match self.stop(way) {
+            let (reached, is_answered) = self.stop(way);
+            stops.answered += usize::from(is_answered);
+            match reached {
                 Some(time) => {
                     missed = 0;
                     stops.times.push(time);
@@ -109,20 +130,50 @@ impl<'a> Probe<'a> {
         stops
     }
 
-    /// Returns the time until the device saw 23h, including the connect if the connection is fresh.
-    fn stop(&mut self, way: Way) -> Option<Duration> {
+    /// Returns the time until the device saw 23h, including the connect if the connection is fresh, and whether the
+    /// client got an answer.
+    fn stop(&mut self, way: Way) -> (Option<Duration>, bool) {
+        let answers_before = self.socket.answers();
         let begun = Instant::now();
         let asked = self.ask(way);
         let reached = self.device.first_since(FAST_STOP, begun, REACHES_WITHIN);
         let begun = begun + if way == Way::HesitantHttp { HESITATES_FOR } else { Duration::ZERO };
-        if let (Way::FreshHttp | Way::HesitantHttp, Ok(Some(mut connection)), true) = (way, asked, reached.is_some()) {
+        let is_answered = match (way, asked) {
             // A client that waits for its answer frees its slot only then.
-            http::read_answer(&mut connection);
-        }
-        reached.map(|at| at.saturating_duration_since(begun))
+            (Way::FreshHttp | Way::HesitantHttp, Ok(Some(mut connection))) => {
+                http::read_answer(&mut connection).is_some_and(|answer| answer.status == 200)
+            }
+            (Way::FreshPort, Ok(Some(mut connection))) => read_frame(&mut connection, FAST_STOP).is_some(),
+            (Way::FreshModbus, Ok(Some(mut connection))) => read_adu(&mut connection).is_some(),
+            (Way::OpenPort, Ok(_)) => read_frame(&mut self.port, FAST_STOP).is_some(),
+            (Way::OpenModbus, Ok(_)) => self.modbus.as_mut().is_some_and(|modbus| {
+                let is_answered = read_adu(modbus).is_some();
+                // Only the next change from 0 is another FAST STOP.
+                is_answered && modbus.write_all(&modbus_fast_stop(false)).is_ok() && read_adu(modbus).is_some()
+            }),
+            (Way::OpenWebSocket, Ok(_)) => self.socket.has_more_answers(answers_before, http::PATIENCE),
+            (Way::Zenoh, Ok(_)) => reached.is_some(),
+            (_, Ok(None) | Err(_)) => false,
+        };
+        (reached.map(|at| at.saturating_duration_since(begun)), is_answered)
     }
 
-    /// Sends a FAST STOP, and returns the connection if it is a fresh HTTP or port connection.
+    /// Reads a register over Modbus now and then, since a connection without requests is closed after a minute.
+    fn poll_modbus(&mut self) {
+        if let Some(modbus) = self.modbus.as_mut().filter(|_| self.polled_at.elapsed() > POLLED_EVERY) {
+            self.polled_at = Instant::now();
+            // A closed connection shows in the next FAST STOP.
+            let _ = modbus.write_all(&[0, 8, 0, 0, 0, 6, 1, 4, 0, 100, 0, 1]);
+            read_adu(modbus);
+        }
+    }
+
+    /// Whether the gateway serves this interface.
+    pub fn has(&self, way: Way) -> bool {
+        !matches!(way, Way::OpenModbus | Way::FreshModbus) || self.modbus.is_some()
+    }
+
+    /// Sends a FAST STOP, and returns the connection if it is a fresh one.
     fn ask(&mut self, way: Way) -> std::io::Result<Option<TcpStream>> {
         let port_request = wsg::request(FAST_STOP, &[]);
         match way {
@@ -144,6 +195,15 @@ impl<'a> Probe<'a> {
             Way::FreshPort => {
                 let mut connection = http::connect(self.gateway.port)?;
                 connection.write_all(&port_request)?;
+                Ok(Some(connection))
+            }
+            Way::OpenModbus => {
+                let modbus = self.modbus.as_mut().ok_or(std::io::ErrorKind::NotConnected)?;
+                modbus.write_all(&modbus_fast_stop(true)).map(|()| None)
+            }
+            Way::FreshModbus => {
+                let mut connection = http::connect(self.gateway.modbus.ok_or(std::io::ErrorKind::NotConnected)?)?;
+                connection.write_all(&modbus_fast_stop(true))?;
                 Ok(Some(connection))
             }
             Way::Zenoh => {
@@ -186,5 +246,32 @@ impl<'a> Probe<'a> {
     /// Whether the gateway has closed the probe's WebSocket.
     pub fn socket_has_ended(&self) -> bool {
         self.socket.has_ended()
+    }
+}
+
+/// Request that sets or clears the FAST STOP register of `g` over Modbus.
+fn modbus_fast_stop(is_set: bool) -> [u8; 12] {
+    [0, 7, 0, 0, 0, 6, 1, 6, 0, 110, 0, is_set.into()]
+}
+
+/// Reads a response that is no exception; `None` if the connection ends first.
+fn read_adu(stream: &mut TcpStream) -> Option<()> {
+    let mut header = [0; 8];
+    stream.read_exact(&mut header).ok()?;
+    let mut rest = vec![0; usize::from(header[5]).checked_sub(2)?];
+    stream.read_exact(&mut rest).ok()?;
+    (header[7] < 0x80).then_some(())
+}
+
+/// Reads frames of the WSG port until one has this id; `None` if the connection ends first.
+fn read_frame(stream: &mut TcpStream, id: u8) -> Option<()> {
+    loop {
+        let mut header = [0; 6];
+        stream.read_exact(&mut header).ok()?;
+        let mut rest = vec![0; usize::from(header[4]) + 2];
+        stream.read_exact(&mut rest).ok()?;
+        if header[3] == id {
+            return Some(());
+        }
     }
 }

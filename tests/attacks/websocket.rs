@@ -3,7 +3,7 @@
 use std::io::{ErrorKind, Read as _, Write as _};
 use std::net::TcpStream;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use crate::gateway::Gateway;
@@ -11,6 +11,11 @@ use crate::http;
 
 /// Interval of pongs: the gateway closes a socket after 3 s without one.
 const LIVES_EVERY: Duration = Duration::from_millis(500);
+
+const LOOK_EVERY: Duration = Duration::from_millis(1);
+
+/// A part of each message with a result.
+const RESULT: &[u8] = br#""result":"#;
 
 pub const TEXT: u8 = 1;
 pub const BINARY: u8 = 2;
@@ -42,6 +47,7 @@ pub fn frame(opcode: u8, payload: &[u8]) -> Vec<u8> {
 pub struct Socket {
     stream: TcpStream,
     has_ended: Arc<AtomicBool>,
+    answers: Arc<AtomicUsize>,
 }
 
 impl Socket {
@@ -52,16 +58,31 @@ impl Socket {
             return None;
         }
         let (reading, has_ended) = (stream.try_clone().ok()?, Arc::<AtomicBool>::default());
-        let ends = has_ended.clone();
+        let (ends, answers) = (has_ended.clone(), Arc::<AtomicUsize>::default());
+        let counts = answers.clone();
         std::thread::spawn(move || {
-            stay(reading);
+            stay(reading, &counts);
             ends.store(true, Ordering::Relaxed);
         });
-        Some(Self { stream, has_ended })
+        Some(Self { stream, has_ended, answers })
     }
 
     pub fn send(&mut self, opcode: u8, payload: &str) -> std::io::Result<()> {
         self.stream.write_all(&frame(opcode, payload.as_bytes()))
+    }
+
+    /// Number of results received so far.
+    pub fn answers(&self) -> usize {
+        self.answers.load(Ordering::Relaxed)
+    }
+
+    /// Waits until there are more results than `before`.
+    pub fn has_more_answers(&self, before: usize, within: Duration) -> bool {
+        let until = Instant::now() + within;
+        while self.answers() <= before && !self.has_ended() && Instant::now() < until {
+            std::thread::sleep(LOOK_EVERY);
+        }
+        self.answers() > before
     }
 
     /// Whether the gateway has closed the socket.
@@ -76,15 +97,22 @@ impl Drop for Socket {
     }
 }
 
-fn stay(mut stream: TcpStream) {
-    let (mut buffer, mut lived_at) = ([0; 4096], Instant::now());
+/// Reads messages until the socket ends, and counts the results. The socket follows nothing, so there is nothing else.
+fn stay(mut stream: TcpStream, answers: &AtomicUsize) {
+    let (mut buffer, mut lived_at, mut received) = ([0; 4096], Instant::now(), Vec::new());
     if stream.set_read_timeout(Some(LIVES_EVERY)).is_err() {
         return;
     }
     loop {
         match stream.read(&mut buffer) {
             Ok(0) => return,
-            Ok(_) => {}
+            Ok(bytes) => {
+                received.extend_from_slice(&buffer[..bytes]);
+                while let Some(at) = received.windows(RESULT.len()).position(|part| part == RESULT) {
+                    received.drain(..at + RESULT.len());
+                    answers.fetch_add(1, Ordering::Relaxed);
+                }
+            }
             Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {}
             Err(_) => return,
         }

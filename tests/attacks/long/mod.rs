@@ -2,6 +2,7 @@
 
 mod busy;
 mod connects;
+mod crowded_ports;
 mod few_descriptors;
 mod heads;
 mod memory;

@@ -131,7 +131,7 @@ fn measured(gateway: &Gateway, probe: &mut Probe<'_>, lasts: Duration) -> Period
         times.push(stop.percentile(100).expect("a FAST STOP over HTTP reached the device"));
         std::thread::sleep((lasts / STOPS as u32).saturating_sub(begun.elapsed()));
     }
-    for way in [Way::OpenWebSocket, Way::OpenPort, Way::FreshPort, Way::Zenoh] {
+    for way in Way::OTHERS {
         assert_eq!(probe.stops(way, 1).reached(), 1, "a FAST STOP over {way:?} reached the device");
     }
     times.sort_unstable();
