@@ -10,6 +10,7 @@ use futures_util::stream::{FuturesUnordered, StreamExt as _};
 use serde::Deserialize;
 use serde_json::value::RawValue;
 use serde_json::{Value, json};
+use tokio::sync::{OwnedSemaphorePermit, mpsc};
 use tokio::time::{Instant, sleep, sleep_until, timeout};
 use zenoh::Wait as _;
 use zenoh::bytes::{Encoding, ZBytes};
@@ -19,6 +20,7 @@ use zenoh::sample::Locality;
 
 use super::Peers;
 use super::keys::{self, MAX_CLIENT_BYTES, ZenohKeys};
+use super::replies::{CollectedRoom, MAX_REPLY_BYTES, MAX_WAITING, ReplyFilter, WaitingReply};
 use super::twins::has_token;
 use crate::gripper::Now;
 use crate::gripper::model::lease::MIN_TTL;
@@ -26,6 +28,9 @@ use crate::gripper::model::{Client, Name, Text, Urgency};
 
 /// Time that an answer may spend on the network, in addition to the operation's own time.
 const ON_ITS_WAY: Duration = Duration::from_secs(5);
+
+/// Time that a request waits for its turn to collect reads of all gateways.
+const COLLECTS_WITHIN: Duration = Duration::from_secs(10);
 
 /// Uses of a kept lease per time to live: two can get lost, and the third can be late.
 const USES_A_TTL: u32 = 4;
@@ -41,8 +46,7 @@ const MIN_ANSWERED_WITHIN: Duration = Duration::from_millis(250);
 const PROOFS: u32 = 10;
 const PROVES_EVERY: Duration = Duration::from_millis(100);
 
-/// Maximum number of replies whose sessions are checked concurrently. Only one gateway is asked, and it sends one
-/// reply.
+/// Maximum number of replies whose sessions are checked concurrently.
 const MAX_PROOFS: usize = 16;
 
 /// Prefix of the methods that manage a lease themselves. No lease is kept for them.
@@ -61,9 +65,6 @@ pub const TOKEN: &str = "token";
 pub const EVENTS: &str = "events";
 pub const GRIPS: &str = "grips";
 pub const READINESS: &str = "readiness";
-
-/// Largest accepted reply of another gateway, in bytes.
-const MAX_REPLY_BYTES: usize = 1 << 20;
 
 /// A request to another gateway. Debug output hides what is sent along, which can be secret.
 #[derive(Clone)]
@@ -113,6 +114,8 @@ pub enum NoAnswer {
     Gone,
     /// Too many requests are under way; nothing was sent.
     TooMany,
+    /// There was no room for the answer, because other large ones took it.
+    TooLarge,
     /// No answer came; the result is unknown.
     None,
 }
@@ -152,26 +155,40 @@ impl Peers {
 
     /// Returns the reply if its session is known as `gateway`, else `None`. After an outage, the reply can come before
     /// the session's token, so the check is repeated up to [`PROOFS`] times.
-    async fn of_owner(&self, gateway: &Name, reply: Reply) -> Option<Reply> {
-        let (session, replier) = (self.session.get()?, reply.replier_id()?.zid().to_string());
+    async fn of_owner(&self, gateway: &Name, waiting: WaitingReply) -> Option<WaitingReply> {
+        let (session, replier) = (self.session.get()?, waiting.reply.replier_id()?.zid().to_string());
         for _ in 0..PROOFS {
             // In a single condition, the lock would be held across the await.
             let is_known = self.others().is_instance(gateway, &replier);
             if is_known || has_token(session, &ZenohKeys::of(gateway), &replier).await {
-                return Some(reply);
+                return Some(waiting);
             }
             sleep(PROVES_EVERY).await;
         }
         None
     }
 
-    /// Reads something of another gateway as a whole. `query` has the filters.
+    /// Waits for a turn to collect reads of all gateways with [`Peers::read`]. The turn lasts until the value is dropped.
+    pub async fn collection(&self) -> Option<OwnedSemaphorePermit> {
+        timeout(COLLECTS_WITHIN, self.collections.clone().acquire_owned()).await.ok()?.ok()
+    }
+
+    /// Reads something of another gateway as a whole. `query` has the filters. The response comes with its room, which has
+    /// to be kept as long as the response.
     ///
     /// # Errors
     /// [`NoAnswer`], if the gateway does not answer.
-    pub async fn read(&self, gateway: &Name, what: &'static str, query: String) -> Result<PeerResponse, NoAnswer> {
+    pub async fn read(
+        &self,
+        gateway: &Name,
+        what: &'static str,
+        query: String,
+    ) -> Result<(PeerResponse, CollectedRoom), NoAnswer> {
         let _place = self.asks.clone().try_acquire_owned().map_err(|_| NoAnswer::TooMany)?;
-        self.get(gateway, ZenohKeys::of(gateway).own(what), query, ON_ITS_WAY, Urgency::None).await
+        let response = self.get(gateway, ZenohKeys::of(gateway).own(what), query, ON_ITS_WAY, Urgency::None).await?;
+        let (Ok(text) | Err((_, text))) = &response;
+        let room = self.reply_room.collected(text.get().len()).ok_or(NoAnswer::TooLarge)?;
+        Ok((response, room))
     }
 
     async fn send(&self, ask: PeerRequest) -> Result<PeerResponse, NoAnswer> {
@@ -196,26 +213,34 @@ impl Peers {
     ) -> Result<PeerResponse, NoAnswer> {
         let session = self.session.get().cloned().ok_or(NoAnswer::Unknown)?;
         // The send can block, so it gets a thread on which nothing else waits.
+        let filter = ReplyFilter::new(&self.reply_room);
+        let (waiting, mut replies) = mpsc::channel(MAX_WAITING);
+        let take = move |reply| {
+            // Zenoh's own thread must not wait. Beyond the room for them, replies are dropped.
+            if let Some(reply) = filter.take(reply) {
+                let _ = waiting.try_send(reply);
+            }
+        };
         let sent = tokio::task::spawn_blocking(move || {
             let get = session.get(selector).payload(payload).timeout(within);
             let get = get.encoding(Encoding::APPLICATION_JSON).allowed_destination(Locality::Remote);
             // Without consolidation, a stranger's reply cannot replace another one with the same key.
             let get = get.target(QueryTarget::All).consolidation(ConsolidationMode::None);
-            get.express(urgency == Urgency::FastStop).priority(priority(urgency)).wait()
+            get.express(urgency == Urgency::FastStop).priority(priority(urgency)).callback(take).wait()
         });
-        let replies = sent.await.ok().and_then(Result::ok).ok_or(NoAnswer::None)?;
+        sent.await.ok().and_then(Result::ok).ok_or(NoAnswer::None)?;
         let (mut proofs, mut refused) = (FuturesUnordered::new(), None);
         loop {
             let reply = tokio::select! {
                 Some(reply) = proofs.next() => reply,
-                Ok(reply) = replies.recv_async(), if proofs.len() < MAX_PROOFS => {
+                Some(reply) = replies.recv(), if proofs.len() < MAX_PROOFS => {
                     proofs.push(self.of_owner(gateway, reply));
                     continue;
                 }
                 else => break,
             };
             // If several gateways with that name answer, the one that carried out the request counts.
-            match reply.as_ref().and_then(parse_reply) {
+            match reply.as_ref().and_then(|waiting| parse_reply(&waiting.reply)) {
                 Some(Ok(answer)) => return Ok(Ok(answer)),
                 other => refused = other.or(refused),
             }

@@ -7,6 +7,7 @@
 mod ask;
 pub mod keys;
 mod others;
+mod replies;
 mod report;
 mod twins;
 
@@ -25,12 +26,14 @@ use zenoh::sample::{Locality, Sample, SampleKind};
 
 use self::keys::{FAST_STOP_OF_ALL, ROOT, ZenohKeys, last_part};
 use self::others::{Others, PeerStop};
+use self::replies::{MAX_COLLECTIONS, ReplyRoom};
 use self::twins::Twins;
 use crate::gripper::model::{Client, FastStopId, Name, Reason, State};
 use crate::gripper::{Grippers, Now};
 
 pub use ask::{EVENTS, GRIPS, NoAnswer, PeerRequest, PeerResponse, READINESS, TOKEN};
 pub use others::{KEPT_FOR, MAX_URL_BYTES, parse_dashboard};
+pub use replies::CollectedRoom;
 pub use report::FleetGripper;
 
 /// Maximum number of concurrent requests to other gateways. The limit applies separately to stops, to lease requests,
@@ -71,6 +74,8 @@ pub struct Peers {
     asks: Arc<Semaphore>,
     stops: Arc<Semaphore>,
     leases: Arc<Semaphore>,
+    collections: Arc<Semaphore>,
+    reply_room: ReplyRoom,
     /// Task that repeats the newest FAST STOP of all gateways to those that missed it.
     repeating: Mutex<Option<AbortHandle>>,
 }
@@ -95,7 +100,25 @@ impl Peers {
         let [asks, stops, leases] = [MAX_ASKS; 3].map(|places| Arc::new(Semaphore::new(places)));
         let (cause, twins) = (watch::Sender::new(None), Arc::default());
         let (asked_at, repeating) = (Mutex::default(), Mutex::default());
-        Self { gateway, own, dashboard, session, cause, others, twins, news, asked_at, asks, stops, leases, repeating }
+        let collections = Arc::new(Semaphore::new(MAX_COLLECTIONS));
+        let reply_room = ReplyRoom::default();
+        Self {
+            gateway,
+            own,
+            dashboard,
+            session,
+            cause,
+            others,
+            twins,
+            news,
+            asked_at,
+            asks,
+            stops,
+            leases,
+            collections,
+            reply_room,
+            repeating,
+        }
     }
 
     /// Joins the network of this session, until the returned tokens are dropped.

@@ -180,6 +180,13 @@ pub fn no_answer(gateway: &Name, why: NoAnswer) -> Problem {
         NoAnswer::TooMany => {
             Problem::new(Code::Overloaded, "too many requests to other gateways are in progress: try again later")
         }
+        NoAnswer::TooLarge => {
+            let detail = format!(
+                "the answer of gateway {gateway} is too large to be collected beside those of others: ask for fewer \
+                 records, or add the parameter gateway={gateway}"
+            );
+            Problem::new(Code::Overloaded, detail)
+        }
         NoAnswer::None => {
             let detail = format!(
                 "gateway {gateway} did not answer: the outcome is unknown. Check the gripper's state, or repeat the \

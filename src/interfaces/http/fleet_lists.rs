@@ -21,7 +21,7 @@ use crate::gripper::model::Name;
 use crate::operations::fleet::no_answer;
 use crate::operations::readiness::Readiness;
 use crate::operations::records::{EventPage, GripPage, RecordList};
-use crate::operations::{Members, Problem, QueryString};
+use crate::operations::{Code, Members, Problem, QueryString};
 
 /// Most gateways that one request asks, and most at the same time.
 const MAX_ASKED: usize = 128;
@@ -118,7 +118,7 @@ pub async fn grips(Shared(context): Shared<Arc<HttpContext>>, uri: Uri) -> Resul
 )]
 pub async fn readiness(Shared(context): Shared<Arc<HttpContext>>) -> Result<Response, Problem> {
     let own = to_raw_value(&Readiness::of(&context.gateway)).map_err(|_| Problem::internal())?;
-    Ok(all(&context, READINESS, None, "", own).await.into_response())
+    all(&context, READINESS, None, "", own).await
 }
 
 async fn records(context: &HttpContext, list: RecordList, uri: &Uri) -> Result<Response, Problem> {
@@ -132,7 +132,7 @@ async fn records(context: &HttpContext, list: RecordList, uri: &Uri) -> Result<R
     {
         return Err(no_answer(name, NoAnswer::Unknown));
     }
-    Ok(all(context, list.name(), only.as_ref(), &query, own).await.into_response())
+    all(context, list.name(), only.as_ref(), &query, own).await
 }
 
 /// Splits a query into the gateway and the rest.
@@ -152,7 +152,10 @@ async fn all(
     only: Option<&Name>,
     query: &str,
     own: Box<RawValue>,
-) -> Json<Results> {
+) -> Result<Response, Problem> {
+    let Some(_turn) = context.gateway.peers.collection().await else {
+        return Err(Problem::new(Code::Overloaded, "other requests to all gateways are in progress: try again later"));
+    };
     let (peers, name) = (&context.gateway.peers, &context.gateway.name);
     let own = GatewayAnswer { gateway: name.clone(), result: Some(own), problem: None };
     let mut others = peers.gateways();
@@ -167,15 +170,17 @@ async fn all(
             } else {
                 peers.read(&gateway, what, query).await
             };
-            let (result, problem) = match answer {
-                Ok(Ok(result)) => (Some(result), None),
-                Ok(Err((_, problem))) => (None, Some(problem)),
-                Err(why) => (None, to_raw_value(no_answer(&gateway, why).members()).ok()),
+            let (result, problem, room) = match answer {
+                Ok((Ok(result), room)) => (Some(result), None, Some(room)),
+                Ok((Err((_, problem)), room)) => (None, Some(problem), Some(room)),
+                Err(why) => (None, to_raw_value(no_answer(&gateway, why).members()).ok(), None),
             };
-            GatewayAnswer { gateway, result, problem }
+            (GatewayAnswer { gateway, result, problem }, room)
         }
     });
     let others = asked.buffered(MAX_AT_ONCE).collect::<Vec<_>>().await;
+    let (others, _rooms): (Vec<_>, Vec<_>) = others.into_iter().unzip();
     let is_wanted = only.is_none_or(|only| only == name);
-    Json(Results { gateways: is_wanted.then_some(own).into_iter().chain(others).collect() })
+    // The results are encoded while their room is still taken.
+    Ok(Json(Results { gateways: is_wanted.then_some(own).into_iter().chain(others).collect() }).into_response())
 }

@@ -447,3 +447,42 @@ async fn put_to_a_gateways_key_is_not_a_twin() {
         client.ask(&format!("wsg/v1/far/g/command/{command}"), &json!({})).await.unwrap();
     }
 }
+
+/// A node can invent gateways, and answer in their names. Their answers are bounded as a whole, and honest gateways are
+/// heard all the same.
+#[tokio::test(flavor = "multi_thread")]
+async fn invented_gateways_do_not_fill_the_memory() {
+    const INVENTED: usize = 40;
+    let pair = Pair::start().await;
+    let node = ZenohClient::at(pair.router.endpoint()).await;
+    let large = json!({"pad": "x".repeat(1_000_000)}).to_string();
+    let answer = move |query: zenoh::query::Query| {
+        let key = query.key_expr().clone();
+        if key.contains("/cell-") {
+            let _ = zenoh::Wait::wait(query.reply(key, large.clone()));
+        }
+    };
+    node.session.declare_queryable("wsg/v1/*/readiness").callback(answer).background().await.unwrap();
+    let session = node.session.zid().to_string();
+    let mut tokens = Vec::new();
+    for index in 0..INVENTED {
+        for what in ["alive".to_owned(), format!("instance/{session}")] {
+            let key = format!("wsg/v1/cell-{index}/{what}");
+            tokens.push(node.session.liveliness().declare_token(key).await.unwrap());
+        }
+    }
+    let of_gateways = eventually("all gateways are known", async || {
+        let of_gateways = pair.near.get("/api/v1/fleet/readiness").await.ok()["gateways"].take();
+        let gateways = of_gateways.as_array().unwrap().clone();
+        let is_invented = |one: &&Value| one["gateway"].as_str().unwrap().starts_with("cell-");
+        let answers = gateways.iter().filter(is_invented).filter(|one| one["result"].is_object()).count();
+        (gateways.len() == INVENTED + 2 && answers > 0).then_some(gateways)
+    })
+    .await;
+    let (invented, honest): (Vec<_>, Vec<_>) =
+        of_gateways.iter().partition(|one| one["gateway"].as_str().unwrap().starts_with("cell-"));
+    assert!(honest.iter().all(|one| one["result"]["version"].is_string()), "{honest:?}");
+    let collected = invented.iter().filter(|one| one["result"].is_object()).count();
+    assert!(collected <= 16, "{collected} answers of 1 MB were collected");
+    assert!(invented.iter().any(|one| one["problem"]["code"] == "overloaded"));
+}
