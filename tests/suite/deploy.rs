@@ -8,8 +8,15 @@ use serde_json::json;
 use crate::harness::{Gateway, JournalFile};
 
 /// The program, and keys of its configuration, which are named like metrics.
-const OTHER_NAMES: &[&str] =
-    &["wsg_gateway", "wsg_port", "wsg_port_allow", "wsg_port_acknowledge", "wsg_port_checksum_evaluation"];
+const OTHER_NAMES: &[&str] = &[
+    "wsg_gateway",
+    "wsg_port",
+    "wsg_port_allow",
+    "wsg_port_acknowledge",
+    "wsg_port_checksum_evaluation",
+    "wsg_port_limits",
+    "wsg_port_max_force_n",
+];
 
 /// Metrics named in a text.
 fn named(text: &str) -> BTreeSet<&str> {
