@@ -103,6 +103,12 @@ impl World {
         counts
     }
 
+    /// Time after which the gateway gives up an incomplete frame: that of the longest one, and the gap.
+    pub fn longest_frame(&self) -> Duration {
+        let line_time = self.bytes_per_second.map(|rate| Duration::from_secs(270) / rate);
+        line_time.unwrap_or_default() + Duration::from_millis(150)
+    }
+
     /// Whether gateway and device are connected.
     pub fn is_connected(&self) -> bool {
         self.connected
