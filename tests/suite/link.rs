@@ -273,7 +273,8 @@ async fn motion_on_a_stalled_link_does_not_start_when_it_heals() {
     proxy.stall(false);
     let state = gateway.until("the Stop arrives", |state| state["flags"].to_string().contains("AXIS_STOPPED")).await;
     assert!(state["width_mm"].as_f64() > Some(100.0), "{state}");
-    assert_eq!((proxy.frames.count(0x21), proxy.frames.count(0x22)), (1, 1));
+    assert_eq!(proxy.frames.count(0x21), 1);
+    assert!(proxy.frames.count(0x22) >= 1, "a Stop without a reply is repeated");
 }
 
 #[tokio::test]

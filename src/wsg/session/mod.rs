@@ -30,6 +30,7 @@
 
 mod barrier;
 mod config;
+mod event;
 mod lanes;
 mod received;
 mod slots;
@@ -39,11 +40,11 @@ use std::time::{Duration, Instant};
 
 use super::decoder::{Decoder, DecoderCounters};
 use super::frame::{self, ChecksumEvaluation};
-use super::reply::{Data, InvalidReply, Reply};
 use super::timed_decoder::{RESYNC_PAUSE, TimedDecoder};
-use super::{Command, Status, id};
+use super::{Command, id};
 use barrier::Barrier;
 pub use config::{MAX_LINE_TIME_WHILE_MOVING, SessionConfig};
+pub use event::{End, NoValue, SessionEvent};
 use lanes::{Lanes, Waiting};
 pub use lanes::{MAX_WAITING, MAX_WAITING_PER_ID};
 use slots::{Closed, InFlight, SlotState, Slots};
@@ -110,53 +111,6 @@ pub enum NotTaken {
     LineTime {
         /// Line time of the request in ms.
         line_ms: u64,
-    },
-}
-
-/// An event of a session.
-#[derive(Debug, Clone, PartialEq)]
-pub enum SessionEvent {
-    /// The device has accepted a request with `E_CMD_PENDING`; its result follows.
-    Accepted(Token),
-    /// A request has ended.
-    Ended(Token, End),
-    /// A value of 40h, 41h, 43h, 44h or 45h, from an automatic update or a reply.
-    Update(Data),
-    /// A frame of one of these ids without its value.
-    NoValue(u8, NoValue),
-    /// The first reply of an id that is longer than the manuals say, with its size in bytes. Its known fields are used.
-    LongReply(u8, usize),
-}
-
-/// Content of an update or a reply that has no value.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum NoValue {
-    /// An error status.
-    Refused(Status),
-    /// Bytes that no device could send.
-    Invalid(InvalidReply),
-}
-
-/// End of a request.
-#[derive(Debug, Clone, PartialEq)]
-pub enum End {
-    /// With a reply.
-    Reply(Reply),
-    /// With an invalid reply. Does not occur for motions, whose invalid replies are ignored.
-    Invalid(InvalidReply),
-    /// Without any reply before the deadline.
-    Unanswered {
-        /// Whether the frame was handed out. If not, the device never received it.
-        written: bool,
-        /// Whether a Stop or FAST STOP was confirmed meanwhile.
-        stopped: bool,
-        /// Time spent waiting.
-        waited: Duration,
-    },
-    /// Accepted, but without a result before the deadline.
-    NoResult {
-        /// Whether a Stop or FAST STOP was confirmed meanwhile, which explains the missing result.
-        stopped: bool,
     },
 }
 
