@@ -329,6 +329,14 @@ test('older samples are put before the present ones', () => {
   assert.ok(Number.isNaN(samples.value(1, 0)));
 });
 
+test('a gap of one column remains beside known ones, however short', () => {
+  const samples = new Samples(1000, 2);
+  for (let time = 0; time < 1000; time += 1) samples.push(time, [time === 500 ? NaN : 1, 2]);
+  const [, broken, whole] = samples.window(0, 1000, 20);
+  assert.ok(broken.includes(null) && !whole.includes(null));
+  assert.ok(broken.length < 60, `${broken.length} points`);
+});
+
 test('flags are read by their bits', () => {
   assert.equal(FLAGS.length, 32);
   assert.equal(FLAGS.filter(({ name }) => name === null).length, 13);

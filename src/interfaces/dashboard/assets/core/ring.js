@@ -61,7 +61,7 @@ export class Samples {
   /**
    * Returns the samples from `from` to `to` for uPlot: seconds relative to `to`, then each column, with null for an
    * unknown value. If there are more than `points`, only the lowest and the highest of each stretch remain, so that
-   * no peak is lost. A stretch never contains a gap, so gaps remain too.
+   * no peak is lost. The same columns are known in a whole stretch, so gaps remain too.
    */
   window(from, to, points) {
     const first = Math.max(0, this.indexOf(from) - 1);
@@ -70,8 +70,9 @@ export class Samples {
     const result = [[], ...this.columns.map(() => [])];
     for (let begin = first, end; begin < last; begin = end) {
       end = begin + 1;
-      const most = this.#isGap(begin) ? end : Math.min(begin + stretch, last);
-      while (end < most && !this.#isGap(end)) end += 1;
+      const known = this.#known(begin);
+      const most = Math.min(begin + stretch, last);
+      while (end < most && this.#known(end) === known) end += 1;
       if (end - begin === 1) this.#add(result, begin, to, [begin]);
       else this.#addExtremes(result, begin, end, to);
     }
@@ -79,8 +80,13 @@ export class Samples {
   }
 
   #isGap(index) {
+    return this.#known(index) === 0;
+  }
+
+  /** The columns that are known in a sample: one bit each. */
+  #known(index) {
     const at = (this.start + index) % this.capacity;
-    return this.columns.every((column) => Number.isNaN(column[at]));
+    return this.columns.reduce((bits, column, bit) => (Number.isNaN(column[at]) ? bits : bits | (1 << bit)), 0);
   }
 
   #add(result, index, to, indexes) {
