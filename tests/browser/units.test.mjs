@@ -19,6 +19,7 @@ const { decimals } = await core('decimals');
 const { delay } = await core('backoff');
 const { bytesOf, cut } = await core('bytes');
 const { numbered, ordered } = await core('newest');
+const { lacksFlags, namesIn, whyUnknown, withNames } = await core('values');
 
 test('frames and checksums match the manuals', () => {
   const vectors = [
@@ -327,6 +328,46 @@ test('older samples are put before the present ones', () => {
     ],
   );
   assert.ok(Number.isNaN(samples.value(1, 0)));
+});
+
+test('an unknown value has a reason', () => {
+  const state = {
+    link: 'connected',
+    age_ms: 4,
+    state: 'IDLE',
+    flags_raw: 0,
+    referenced: false,
+    width_mm: null,
+    speed_mm_s: 0,
+    force_n: null,
+    temperature_c: null,
+    stale: ['force_n'],
+  };
+  const all = (more) =>
+    ['state', 'flags', 'width_mm', 'speed_mm_s', 'force_n', 'temperature_c'].map((name) =>
+      whyUnknown({ ...state, ...more }, name),
+    );
+  assert.deepEqual(all({}), [null, null, 'not_referenced', null, 'missing', 'awaited']);
+  assert.deepEqual(all({ referenced: true, stale: ['width_mm'] }).slice(2, 5), ['missing', null, 'awaited']);
+  const lost = { link: 'reconnecting', age_ms: null, state: null, flags_raw: null, referenced: null, stale: [] };
+  assert.deepEqual(all({ ...lost, speed_mm_s: null }), Array(6).fill('link'));
+  const mute = { link: 'unresponsive', flags_raw: null, stale: ['flags'] };
+  assert.deepEqual([lacksFlags({ ...state, ...mute }), lacksFlags({ ...state, ...mute, age_ms: null })], [true, false]);
+});
+
+test('the cause of an alarm names the unknown values', () => {
+  const cause = 'width_mm (the device answers E_CMD_FAILED (18)), force_n (the device no longer sends it)';
+  assert.deepEqual(namesIn(cause), ['width_mm', 'force_n']);
+  assert.equal(
+    withNames(cause, (name) => name.toUpperCase()),
+    'WIDTH_MM (the device answers E_CMD_FAILED (18)), FORCE_N (the device no longer sends it)',
+  );
+});
+
+test('events name the values that are unknown, and known again', () => {
+  const of = (event) => sentence({ kind: 'device', event, values: ['width_mm'], cause: 'silent' });
+  assert.deepEqual([of('values_unknown').key, of('values_known').key], ['event.values_unknown', 'event.values_known']);
+  assert.deepEqual([of('values_unknown').values, of('values_unknown').with.cause], [['width_mm'], 'silent']);
 });
 
 test('a gap of one column remains beside known ones, however short', () => {

@@ -19,6 +19,8 @@ const SETTINGS = ['acceleration_mm_s2', 'force_n', 'minus_mm', 'plus_mm', 'tag']
 
 export class Gripper {
   #readAt = -Infinity;
+  /** Time of the newest state with a link; null if the page has lost its own connection since. */
+  #liveAt = null;
   #answers = Object.fromEntries(['info', 'lease', ...SETTINGS].map((field) => [field, ordered()]));
 
   constructor(name) {
@@ -28,7 +30,7 @@ export class Gripper {
     this.state = signal(null);
     /** State for the figures, which is updated less often while the gripper moves. */
     this.reading = signal(null);
-    /** Time of the last update, while the gripper is not connected. */
+    /** Time of the last state with a link, while the gripper is not connected; null if the page did not see it. */
     this.lostAt = signal(null);
     this.info = signal(null);
     this.lease = signal(null);
@@ -74,7 +76,14 @@ export class Gripper {
     this.holder = of((state) => state.lease_holder);
     this.temperature = of((state) => state.temperature_c);
     this.runs = of((state) => state.command);
+    /** Names of the values that the gripper should send and does not, with spaces between. */
+    this.missing = of((state) => state.stale.join(' '));
     this.latchId = of((state) => (state.fast_stop ? state.fast_stop_id : null));
+    /** `FAST_STOP`, or the gripper state. Null if one of them is unknown. */
+    this.condition = of((state) => {
+      if (state.fast_stop) return 'FAST_STOP';
+      return state.fast_stop === null ? null : state.state;
+    });
     this.isConfirmed = of((state) => state.fast_stop_confirmed ?? null);
     this.hasOverdrive = computed(() => has(this.flags.value, 'OVERDRIVE_MODE'));
     this.isMine = computed(() => this.held.value !== null && this.held.value.epoch === this.state.value?.lease_epoch);
@@ -138,6 +147,12 @@ export class Gripper {
     else this.samples.gap();
   }
 
+  /** Notes that the page has lost its own connection, so that it does not know what happens. */
+  loseSight() {
+    this.samples.gap();
+    this.#liveAt = null;
+  }
+
   /**
    * Like `asking`, for a request whose answer has settings. An event counts as a request that is answered at once: it
    * is newer than the answers still to come. An event also names the subject.
@@ -161,8 +176,12 @@ export class Gripper {
     const state = this.newest;
     if (state === null || state === this.state.peek()) return;
     this.state.value = state;
-    if (state.link === 'connected') this.lostAt.value = null;
-    else if (this.lostAt.peek() === null && state.age_ms !== null) this.lostAt.value = Date.now() - state.age_ms;
+    if (state.link === 'connected') {
+      this.#liveAt = Date.now();
+      this.lostAt.value = null;
+    } else {
+      this.lostAt.value ??= this.#liveAt;
+    }
     const now = performance.now();
     if (!state.moving || now - this.#readAt >= READ_EVERY_MS) {
       this.#readAt = now;

@@ -216,7 +216,7 @@ function look() {
   batch(() => {
     if (next !== connection.peek()) {
       connection.value = next;
-      if (next !== 'live') byName.forEach((one) => one.samples.gap());
+      if (next !== 'live') byName.forEach((one) => one.loseSight());
     }
     noteGateway(next === 'lost' || (next === 'silent' && isSure));
     if (next === 'live') heardAt.value = Date.now() - silence;

@@ -7,13 +7,19 @@ import { t, time } from '../model/i18n.js';
 import { mustSignIn } from '../model/me.js';
 import { connection, gripper, grippers, heardAt, isLive, selected } from '../model/store.js';
 import { isOld } from '../model/version.js';
-import { Shape, whyOld } from './parts.js';
+import { Shape, shapeOf, whyOld } from './parts.js';
 import { go } from './route.js';
 import { Results, Stop } from './stop.js';
+import { Unknown, unknownText } from './unknown.js';
 
-function Item({ label, shape, text, since, tone = '' }) {
+/** `why` is the reason that something is unknown. */
+function Item({ label, shape, text, since, why, tone = '' }) {
   return html`<div class=${`status ${tone}`}><span class="status-label">${label}</span><span class="status-text">
-    <${Shape} name=${shape} /><span title=${text}>${text}${since && html`<span class="since"> ${since}</span>`}</span>
+    <${Shape} name=${shape} />${
+      why
+        ? html`<${Unknown} word=${text} why=${why} />`
+        : html`<span title=${text}>${text}${since && html`<span class="since"> ${since}</span>`}</span>`
+    }
   </span></div>`;
 }
 
@@ -32,10 +38,15 @@ function linkItem(one) {
 }
 
 function stateItem(one) {
-  if (!one || whyOld(one)) return { shape: 'off', text: t('bar.unknown') };
-  if (one.latchId.value) return { shape: 'critical', tone: 'tone-critical', text: t('state.FAST_STOP') };
-  const state = one.gripperState.value;
-  if (!state) return { shape: 'off', text: '–' };
+  if (!one) return { shape: 'off', text: t('bar.unknown') };
+  const old = whyOld(one);
+  if (old) return { shape: 'off', text: t('bar.unknown'), why: old.text };
+  const state = one.condition.value;
+  if (state === null) {
+    const why = unknownText(one.state.value, 'flags') ?? unknownText(one.state.value, 'state');
+    return { shape: 'off', text: t('bar.unknown'), why };
+  }
+  if (state === 'FAST_STOP') return { shape: 'critical', tone: 'tone-critical', text: t('state.FAST_STOP') };
   const tone = { ERROR: 'tone-critical', NO_PART: 'tone-high', PART_LOST: 'tone-high' }[state] ?? '';
   return { shape: one.isMoving.value ? 'moving' : tone ? 'high' : 'on', tone, text: t(`state.${state}`) };
 }
@@ -99,7 +110,7 @@ const MAX_CHIPS = 8;
 function stateText(one) {
   const old = whyOld(one);
   if (old) return old.text;
-  return one.latchId.value ? t('state.FAST_STOP') : t(`state.${one.gripperState.value ?? 'unknown'}`);
+  return t(`state.${one.condition.value ?? 'unknown'}`);
 }
 
 function List({ all }) {
@@ -121,7 +132,7 @@ export function Picker() {
           selected.value = one.name;
           go();
         }}>
-      <${Shape} name=${whyOld(one) ? 'high' : one.latchId.value ? 'critical' : one.isMoving.value ? 'moving' : 'on'} />${one.name}
+      <${Shape} name=${shapeOf(one)} />${one.name}
         </button>`,
     )}
   </nav>`;

@@ -2,8 +2,9 @@
 
 import { html, useComputed } from '../lib.js';
 import { fixed, plain, t } from '../model/i18n.js';
-import { Covered, Figure, Panel, whyOld } from './parts.js';
+import { Covered, Figure, Panel, Shape, whyOld } from './parts.js';
 import { Result } from './result.js';
+import { missingText, unknownText } from './unknown.js';
 
 const MIDDLE = 340;
 const SPAN = 540;
@@ -75,7 +76,7 @@ function Jaw({ side, place, direction }) {
 }
 
 function words(one) {
-  const parts = [t(`state.${one.latchId.value ? 'FAST_STOP' : (one.gripperState.value ?? 'unknown')}`)];
+  const parts = [t(`state.${one.condition.value ?? 'unknown'}`)];
   if (one.direction.value < 0) parts.push(t('jaws.closing'));
   if (one.direction.value > 0) parts.push(t('jaws.opening'));
   const target = one.target.value?.width_mm;
@@ -94,11 +95,10 @@ function Drawing({ one }) {
   const between = useComputed(() => (2 * half.value).toFixed(1));
   // Signals in attributes follow the width without rendering the whole drawing again.
   const isKnown = useComputed(() => one.width.value !== null).value;
-  const label = useComputed(() =>
-    one.width.value === null
-      ? t('jaws.not_referenced')
-      : t('jaws.label', { width: fixed(one.reading.value?.width_mm, 1) }),
-  );
+  const why = useComputed(() => unknownText(one.state.value, 'width_mm'));
+  // Between the jaws, there is no room for the reason.
+  const note = useComputed(() => t(one.isReferenced.value === false ? 'unknown.not_referenced' : 'unknown.width'));
+  const label = useComputed(() => why.value ?? t('jaws.label', { width: fixed(one.reading.value?.width_mm, 1) }));
   const widthText = useComputed(() => t('jaws.width', { width: fixed(one.width.value, 1) }));
   const isHolding = one.gripperState.value === 'HOLDING';
   const isLost = one.gripperState.value === 'PART_LOST';
@@ -114,7 +114,7 @@ function Drawing({ one }) {
       html`<rect class=${isLost ? 'part lost' : 'part'} x=${from} y="108"
         width=${between} height="52" rx="2" />`
     }
-    ${isHolding && isKnown && html`<text class="part-text" x=${MIDDLE} y="139">${fixed(one.force.value, 1)} N</text>`}
+    ${isHolding && isKnown && one.force.value !== null && html`<text class="part-text" x=${MIDDLE} y="139">${fixed(one.force.value, 1)} N</text>`}
     <${Jaw} side=${-1} place=${left} direction=${one.direction.value} />
     <${Jaw} side=${1} place=${right} direction=${one.direction.value} />
     ${
@@ -127,7 +127,7 @@ function Drawing({ one }) {
     <g class="ruler"><line x1=${MIDDLE - SPAN / 2} x2=${MIDDLE + SPAN / 2} y1="208" y2="208" />${ticks(stroke, scale)}
       </g>
     <${Target} one=${one} scale=${scale} />
-    ${!isKnown && html`<text class="jaws-note" x=${MIDDLE} y="140">${t('jaws.not_referenced')}</text>`}
+    ${!isKnown && html`<text class="jaws-note" x=${MIDDLE} y="140">${note}</text>`}
   </svg>`;
 }
 
@@ -141,23 +141,31 @@ function Figures({ one }) {
     : t('figure.stroke', { max: plain(info?.stroke_mm) });
   return html`<div class="figures">
     <${Figure} label=${t('width')} value=${read?.width_mm} decimals=${2} unit="mm" note=${widths} timed="width"
-        class="figure-main" />
-    <${Figure} label=${t('speed')} value=${read?.speed_mm_s} decimals=${1} unit="mm/s" note=${t('figure.max', {
-      max: plain(info?.max_speed_mm_s),
-      unit: 'mm/s',
-    })} />
-    <${Figure} label=${t('force')} value=${read?.force_n} decimals=${1} unit="N" note=${t('figure.max', {
-      max: plain(one.hasOverdrive.value ? info?.overdrive_force_n : info?.nominal_force_n),
-      unit: 'N',
-    })} />
+        why=${unknownText(read, 'width_mm')} class="figure-main" />
+    <${Figure} label=${t('speed')} value=${read?.speed_mm_s} decimals=${1} unit="mm/s" why=${unknownText(read, 'speed_mm_s')}
+        note=${t('figure.max', {
+          max: plain(info?.max_speed_mm_s),
+          unit: 'mm/s',
+        })} />
+    <${Figure} label=${t('force')} value=${read?.force_n} decimals=${1} unit="N" why=${unknownText(read, 'force_n')}
+        note=${t('figure.max', {
+          max: plain(one.hasOverdrive.value ? info?.overdrive_force_n : info?.nominal_force_n),
+          unit: 'N',
+        })} />
   </div>`;
+}
+
+/** Names the values that the gripper does not send. */
+function Missing({ one }) {
+  const text = missingText(one);
+  return text && html`<p class="unknown-values tone-high"><${Shape} name="high" /> <span>${text}</span></p>`;
 }
 
 export function Jaws({ one }) {
   return html`<${Panel} title=${one.name} id="jaws-title" class="jaws-panel" actions=${
     !whyOld(one) &&
-    html`<span class="jaws-words" data-state=${one.gripperState.value}>${words(one)}</span><${Result} one=${one} />`
+    html`<span class="jaws-words" data-state=${one.condition.value}>${words(one)}</span><${Result} one=${one} />`
   }>
-    <${Covered} one=${one}><${Drawing} one=${one} /><${Figures} one=${one} /></${Covered}>
+    <${Covered} one=${one}><${Missing} one=${one} /><${Drawing} one=${one} /><${Figures} one=${one} /></${Covered}>
   </${Panel}>`;
 }

@@ -2,9 +2,13 @@
 
 import { html, useMemo, useSignal } from '../lib.js';
 import { cut } from '../core/bytes.js';
+import { isActive } from '../core/alarms.js';
 import { ordered } from '../core/newest.js';
+import { lacksFlags } from '../core/values.js';
+import { alarms } from '../model/alarms.js';
 import { fixed, ofProblem, span, t, time } from '../model/i18n.js';
 import { connection, heardAt, now } from '../model/store.js';
+import { valueNames } from './unknown.js';
 
 /** Shapes beside words, so that colour is never the only sign. */
 const SHAPES = {
@@ -30,21 +34,40 @@ export function Panel({ title, id, actions, class: extra = '', children }) {
   </section>`;
 }
 
-/** Why and since when the shown values are old; null while they are current. */
+/** Alarms that begin with the loss of a link. */
+const LINK_ALARMS = ['not_reached', 'link_down', 'link_released'];
+
+/** Time at which the gateway has lost the link; null if no alarm shows it. */
+function linkAlarmAt(one) {
+  const ofLink = (alarm) => alarm.gripper === one.name && LINK_ALARMS.includes(alarm.alarm) && isActive(alarm);
+  const alarm = alarms.value.find(ofLink);
+  return alarm ? Date.parse(alarm.began_at) : null;
+}
+
+/**
+ * Why and since when the shown values are old or unknown; null while they are current. `sinceKey` is the key of the text
+ * about the time.
+ */
 export function whyOld(one) {
   if (connection.value === 'connecting') return { text: t('stale.connecting') };
   if (connection.value !== 'live') {
-    return { text: t(`stale.${connection.value}`), since: heardAt.value };
+    return { text: t(`stale.${connection.value}`), since: heardAt.value, sinceKey: 'stale.since' };
   }
   if (one && one.link.value !== null && one.link.value !== 'connected') {
-    return { text: t(`stale.link.${one.link.value}`), since: one.lostAt.value, detail: one.linkCause.value };
+    const since = one.lostAt.value ?? linkAlarmAt(one);
+    const detail = one.linkCause.value;
+    if (lacksFlags(one.state.value)) {
+      const text = t('stale.flags', { values: valueNames(one.state.value.stale) });
+      return { text, since, sinceKey: 'stale.flags_since', detail };
+    }
+    return { text: t(`stale.link.${one.link.value}`), since, sinceKey: 'stale.link_since', detail };
   }
   return null;
 }
 
 /**
- * Covers old values and shows their age, so that an old value never looks live. The elements stay, with what a person
- * has typed or opened in them.
+ * Covers old and unknown values and shows since when, so that they never look live. The elements stay, with what a
+ * person has typed or opened in them.
  */
 export function Covered({ one, children }) {
   const old = whyOld(one);
@@ -55,7 +78,7 @@ export function Covered({ one, children }) {
       old &&
       html`<div class="cover">
       <p><${Shape} name="high" /> <strong>${old.text}</strong></p>
-      ${old.since && html`<p>${t('stale.since', { time: time(old.since), span: span(now.value - old.since) })}</p>`}
+      ${old.since && html`<p>${t(old.sinceKey, { time: time(old.since), span: span(now.value - old.since) })}</p>`}
       ${old.detail && html`<p class="muted" lang="en">${old.detail}</p>`}
     </div>`
     }
@@ -114,12 +137,23 @@ export function Choice({ label, name, options, value, onChange }) {
   </div>`;
 }
 
-/** A big number. `timed` names its first paint in the browser's performance entries. */
-export function Figure({ label, value, decimals, unit, note, timed, class: extra = '' }) {
+/** Shape beside a gripper's name. */
+export function shapeOf(one) {
+  if (whyOld(one)) return 'high';
+  if (one.latchId.value) return 'critical';
+  if (one.condition.value === null || one.isMoving.value === null) return 'off';
+  return one.isMoving.value ? 'moving' : 'on';
+}
+
+/**
+ * A big number. `why` is the reason that it is unknown, and replaces the note. `timed` names its first paint in the
+ * browser's performance entries.
+ */
+export function Figure({ label, value, decimals, unit, note, why, timed, class: extra = '' }) {
   return html`<div class=${`figure ${extra}`}>
     <span class="figure-label">${label}</span>
-    <span class="figure-value" elementtiming=${timed}>${fixed(value, decimals)}<span class="unit">${unit}</span></span>
-    <span class="figure-note">${note ?? ''}</span>
+    <span class="figure-value" title=${why} elementtiming=${timed}>${fixed(value, decimals)}${!why && html`<span class="unit">${unit}</span>`}</span>
+    <span class="figure-note">${why ?? note ?? ''}</span>
   </div>`;
 }
 

@@ -19,6 +19,9 @@ const FAULTS = FLAGS.filter(({ weight }) => weight === 'fault');
 /** `fault_code` of an error that nobody has acknowledged. */
 const DEVICE_ERROR = 30;
 
+/** `fault_code` of an unknown value, which hides that of an error. */
+const VALUE_UNKNOWN = 4;
+
 const GOOD = ['SUCCESS', 'PART_HELD'];
 
 /** Difference from the expected width up to which a held part gets no note. */
@@ -41,7 +44,11 @@ function resultOf(one) {
   if (state === HELD) {
     // `reading` is read only in this state, so that moving fingers do not render the result again.
     const { width_mm: width, force_n: force } = one.reading.value ?? {};
-    const figures = `${fixed(width, 1)} mm · ${fixed(force, 1)} N`;
+    const known = [
+      [width, 'mm'],
+      [force, 'N'],
+    ].filter(([value]) => value != null);
+    const figures = known.map(([value, unit]) => `${fixed(value, 1)} ${unit}`).join(' · ');
     // The newest command can be a Stop, which does not change the grip's result.
     if (one.outcomeCode.value === WRONG_PART_CODE) {
       const contact = command?.outcome === WRONG_PART ? command.contact_width_mm : null;
@@ -51,7 +58,9 @@ function resultOf(one) {
     return { state, text: t('result.held'), figures, note: early(command, width) };
   }
   // Firmware 4 reports ERROR from a FAST STOP until the next motion, even after the acknowledgement.
-  if (state === 'ERROR' && !FAULTS.some(({ bit }) => isSet(one.flags.value, bit))) {
+  const flags = one.flags.value;
+  if (state === 'ERROR' && flags !== null && !FAULTS.some(({ bit }) => isSet(flags, bit))) {
+    if (one.faultCode.value === VALUE_UNKNOWN) return { state, isWrong: true, text: t('result.error'), figures: '' };
     const isOpen = one.faultCode.value === DEVICE_ERROR;
     const note = t(isOpen ? 'result.open' : 'result.ready');
     return { state, isWrong: isOpen, text: t('result.error'), figures: '', note };

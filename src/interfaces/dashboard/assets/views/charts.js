@@ -1,11 +1,12 @@
 // Strip charts of width, speed and force, with marks for grips. The newest values are at the right.
 
-import { html, signal, useEffect, useRef } from '../lib.js';
+import { html, signal, useComputed, useEffect, useRef } from '../lib.js';
 import { fixed, t } from '../model/i18n.js';
 import { get } from '../net/rest.js';
 import { drawWith } from '../model/store.js';
 import { css, fit, looks, plot } from './plot.js';
 import { Choice, Covered, Panel } from '../ui/parts.js';
+import { unknownText } from '../ui/unknown.js';
 
 const WINDOWS_S = [10, 30, 120, 600];
 
@@ -23,9 +24,15 @@ const windowS = signal(30);
 const pausedAt = signal(null);
 
 const CHARTS = [
-  { key: 'width', unit: 'mm', column: 1, range: (one) => [0, one.info.peek()?.stroke_mm ?? 110] },
-  { key: 'speed', unit: 'mm/s', column: 2, range: (_one, low, high) => [Math.min(-10, low), Math.max(10, high)] },
-  { key: 'force', unit: 'N', column: 3, range: (_one, _low, high) => [0, Math.max(10, high * 1.1)] },
+  { key: 'width', name: 'width_mm', unit: 'mm', column: 1, range: (one) => [0, one.info.peek()?.stroke_mm ?? 110] },
+  {
+    key: 'speed',
+    name: 'speed_mm_s',
+    unit: 'mm/s',
+    column: 2,
+    range: (_one, low, high) => [Math.min(-10, low), Math.max(10, high)],
+  },
+  { key: 'force', name: 'force_n', unit: 'N', column: 3, range: (_one, _low, high) => [0, Math.max(10, high * 1.1)] },
 ];
 
 function markAt(drawn, marks, until) {
@@ -76,6 +83,12 @@ async function fill(one) {
   }
 }
 
+/** Why the chart has a gap at its end. */
+function Gap({ one, name }) {
+  const why = useComputed(() => unknownText(one.state.value, name)).value;
+  return why && html`<span class="gap-note">– ${why}</span>`;
+}
+
 function Charted({ one }) {
   const places = useRef([]);
   const outputs = useRef([]);
@@ -108,7 +121,9 @@ function Charted({ one }) {
   return html`<div class="charts">
     ${CHARTS.map(
       (chart, index) => html`<figure class="chart" key=${chart.key}>
-      <figcaption>${t(chart.key)} <span class="unit">${chart.unit}</span> <output ref=${(output) => {
+      <figcaption>${t(chart.key)} <span class="unit">${chart.unit}</span> <${Gap} one=${one} name=${chart.name} /> <output ref=${(
+        output,
+      ) => {
         outputs.current[index] = output;
       }} /></figcaption>
       <div class="chart-place" role="img" aria-label=${t('chart.label', {

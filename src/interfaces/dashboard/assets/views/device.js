@@ -6,11 +6,19 @@ import { fixed, plain, t } from '../model/i18n.js';
 import { ask } from '../model/commands.js';
 import { ALL_SETTINGS, connection, learnSettings, read } from '../model/store.js';
 import { Covered, Panel, Shape, useNewest } from '../ui/parts.js';
+import { unknownText } from '../ui/unknown.js';
 import { Facts } from './facts.js';
 import { limitsText, NumberField } from './fields.js';
 import { FingerSet } from './finger_set.js';
 import { Fingers } from './fingers.js';
 import { Health } from './health.js';
+
+/** The temperature, or why it is unknown; null for a firmware that does not report it. */
+function temperatureText(one) {
+  if (one.temperature.value !== null) return `${fixed(one.temperature.value, 1)} °C`;
+  if (!one.missing.value?.includes('temperature_c')) return null;
+  return `– (${unknownText(one.state.value, 'temperature_c')})`;
+}
 
 function About({ one }) {
   const info = one.info.value;
@@ -22,7 +30,7 @@ function About({ one }) {
     ['device.hardware', info.hardware_revision],
     ['device.tag', info.device_tag],
     ['device.url', info.url],
-    ['device.temperature', one.temperature.value === null ? null : `${fixed(one.temperature.value, 1)} °C`],
+    ['device.temperature', temperatureText(one)],
     ['device.capabilities', info.capabilities.join(', ')],
     ['device.if_gateway', t(info.stops_on_gateway_loss ? 'device.stops' : 'device.moves_on')],
   ]} /></${Panel}>`;

@@ -4,6 +4,7 @@ import { html } from '../lib.js';
 import { FLAGS, isSet } from '../core/flags.js';
 import { t } from '../model/i18n.js';
 import { Covered, Panel, Shape, whyOld } from '../ui/parts.js';
+import { unknownText } from '../ui/unknown.js';
 
 const BOXES = {
   IDLE: [10, 70],
@@ -50,12 +51,13 @@ export function StateMachine({ one }) {
 function Flag({ flag, raw }) {
   const { bit, name, weight } = flag;
   const isOn = isSet(raw, bit);
+  const text = raw === null ? 'flag.unknown' : isOn ? 'flag.set' : 'flag.clear';
   const shape = isOn ? { fault: 'critical', warning: 'high', normal: 'on' }[weight] : 'off';
   return html`<li class=${`flag ${isOn ? 'set' : ''} ${isOn && weight !== 'normal' ? `tone-${weight === 'fault' ? 'critical' : 'high'}` : ''}`}
       title=${name ?? ''}>
-    <${Shape} name=${shape} /><span class="flag-bit">${bit}</span><span
+    ${raw === null ? html`<span class="shape" aria-hidden="true">–</span>` : html`<${Shape} name=${shape} />`}<span class="flag-bit">${bit}</span><span
         class="flag-text">${name ? t(`flag.${name}`) : t('flag.reserved')}</span><span
-            class="visually-hidden">${t(isOn ? 'flag.set' : 'flag.clear')}</span></li>`;
+            class="visually-hidden">${t(text)}</span></li>`;
 }
 
 export function Flags({ one }) {
@@ -68,6 +70,10 @@ export function Flags({ one }) {
         </code>`
       }>
     <${Covered} one=${one}>
+      ${['state', 'flags'].map((name) => {
+        const why = unknownText(one.state.value, name);
+        return why && html`<p class="small" key=${name}>${why}</p>`;
+      })}
       <${StateMachine} one=${one} />
       <ul class="flags">${FLAGS.filter(({ name, bit }) => name || isSet(raw, bit)).map(
         (flag) => html`<${Flag}

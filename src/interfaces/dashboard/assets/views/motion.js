@@ -61,9 +61,10 @@ function fieldsOf(one) {
 export function whyNot(one, needsReference = true) {
   if (!isLive.value || !one.isThere.value) return 'why.link';
   if (one.latchId.value) return 'why.fast_stop';
+  if (one.flags.value === null) return 'why.flags';
   if (!one.isMine.value) return 'why.control';
   if (one.runs.value || one.isMotionRequested.value) return 'why.running';
-  if (needsReference && one.isReferenced.value === false) return 'why.not_referenced';
+  if (needsReference && !one.isReferenced.value) return 'why.not_referenced';
   return null;
 }
 

@@ -89,11 +89,11 @@ function Refused({ one }) {
     }} /></${Notice}>`;
 }
 
-/** Whether the view already shows the alarm elsewhere: a lost connection, a FAST STOP, or a reservation. */
+/** Whether the view already shows the alarm elsewhere: a lost connection, a FAST STOP, unknown values, or a reservation. */
 function isShown({ alarm, gripper: name }) {
   if (alarm === 'no_gateway') return true;
   if (name !== gripper.value?.name) return false;
-  const ofView = ['fast_stop', 'not_reached', 'link_down', 'link_released'];
+  const ofView = ['fast_stop', 'not_reached', 'link_down', 'link_released', 'value_unknown'];
   return alarm === 'holder_lost' || (view.value === 'operate' && ofView.includes(alarm));
 }
 

@@ -5,9 +5,10 @@ import { numbered } from '../core/newest.js';
 import { fixed, plain, span, t } from '../model/i18n.js';
 import { get } from '../net/rest.js';
 import { fleet, grippers, hasOthers, isLive, selected } from '../model/store.js';
-import { onPress, Panel, Shape, whyOld } from '../ui/parts.js';
+import { onPress, Panel, Shape, shapeOf, whyOld } from '../ui/parts.js';
 import { go } from '../ui/route.js';
 import { stopFleet } from '../ui/stop.js';
+import { missingText, Unknown, unknownText } from '../ui/unknown.js';
 
 const ASKED_EVERY_MS = 2000;
 
@@ -26,10 +27,26 @@ async function askFleet() {
 
 function Gauge({ one }) {
   const stroke = one.info.value?.stroke_mm ?? 110;
-  const gap = ((one.width.value ?? 0) / stroke) * 200;
+  const width = one.width.value;
+  const gap = (width / stroke) * 200;
   return html`<svg class="gauge" viewBox="0 0 200 14" preserveAspectRatio="none" aria-hidden="true"><rect
-      class="track" width="200" height="14" rx="2" /><rect class="gap" x=${(100 - gap / 2).toFixed(1)}
-          width=${gap.toFixed(1)} height="14" /></svg>`;
+      class="track" width="200" height="14" rx="2" />${
+        width !== null && html`<rect class="gap" x=${(100 - gap / 2).toFixed(1)} width=${gap.toFixed(1)} height="14" />`
+      }</svg>`;
+}
+
+/** Values of a tile: name, decimals and unit. */
+const FIGURES = [
+  ['width_mm', 1, 'mm'],
+  ['speed_mm_s', 0, 'mm/s'],
+  ['force_n', 1, 'N'],
+];
+
+function Figures({ state }) {
+  return html`<span class="tile-figures">${FIGURES.map(([name, decimals, unit]) => {
+    const why = unknownText(state, name);
+    return html`<span key=${name}>${why ? html`<${Unknown} why=${why} />` : html`${fixed(state[name], decimals)}<span class="unit">${unit}</span>`}</span>`;
+  })}</span>`;
 }
 
 function controlText(one) {
@@ -40,26 +57,44 @@ function controlText(one) {
 function Tile({ one }) {
   const old = whyOld(one);
   const isLatched = one.latchId.value !== null;
-  const state = isLatched ? 'FAST_STOP' : (one.gripperState.value ?? 'unknown');
+  const state = one.condition.value ?? 'unknown';
   const tone = old || state === 'PART_LOST' ? 'tone-high' : isLatched || state === 'ERROR' ? 'tone-critical' : '';
-  const shape = old ? 'high' : isLatched ? 'critical' : one.isMoving.value ? 'moving' : 'on';
+  const why = missingText(one) ?? unknownText(one.state.value, 'width_mm');
   return html`<button type="button" class="tile" data-gripper=${one.name}
       onClick=${() => {
         selected.value = one.name;
         go('operate');
       }}>
     <span class="tile-head"><span>${one.name}</span><span class=${`tile-state ${tone}`}><${Shape}
-        name=${shape} />${old ? old.text : t(`state.${state}`)}</span></span>
+        name=${shapeOf(one)} />${old ? old.text : t(`state.${state}`)}</span></span>
     ${
       old
         ? html`<span class="muted small">${old.detail ?? ''}</span>`
         : html`<${Gauge} one=${one} />
-      <span class="tile-figures"><span>${fixed(one.width.value, 1)}<span class="unit">mm</span></span>
-        <span>${fixed(one.speed.value, 0)}<span class="unit">mm/s</span></span><span>${fixed(one.force.value, 1)}<span
-            class="unit">N</span></span></span>`
+      <${Figures} state=${one.state.value} />${why && html`<span class="small">${why}</span>`}`
     }
     <span class="muted small">${whyOld(one) ? '' : controlText(one)}</span>
   </button>`;
+}
+
+/** Why nothing is known about a gripper of the fleet; null if it sends its values. */
+function whySilent(one) {
+  if (one.gone) return t('link.gone');
+  return one.link === 'connected' ? null : t(`stale.link.${one.link}`);
+}
+
+function FleetState({ one }) {
+  if (one.fast_stop) return t('state.FAST_STOP');
+  const isUnknown = one.fast_stop == null || one.state == null;
+  const why = whySilent(one) ?? (isUnknown ? t('all.no_value') : null);
+  if (why === null) return t(`state.${one.state}`);
+  return html`<${Unknown} word=${t('state.unknown')} why=${why} />`;
+}
+
+function FleetAge({ one }) {
+  const { age_ms: age } = one;
+  if (age === null || age === undefined) return html`<${Unknown} why=${whySilent(one) ?? t('all.no_value')} />`;
+  return age < 1000 ? `${plain(age)} ms` : span(age);
 }
 
 function Fleet() {
@@ -91,9 +126,9 @@ function Fleet() {
           ? html`<a href=${one.dashboard} target="_blank" rel="noopener">${one.gateway}</a>`
           : one.gateway
       }</td><td>${one.gripper}</td><td>${t(`link.${one.gone ? 'gone' : one.link}`)}</td>
-        <td>${one.fast_stop ? t('state.FAST_STOP') : t(`state.${one.state ?? 'unknown'}`)}</td>
+        <td><${FleetState} one=${one} /></td>
           <td>${one.lease_holder ?? '–'}</td>
-            <td>${one.age_ms == null ? '–' : one.age_ms < 1000 ? `${plain(one.age_ms)} ms` : span(one.age_ms)}</td>
+            <td><${FleetAge} one=${one} /></td>
               </tr>`,
     )}</tbody>
   </table></div></${Panel}>`;

@@ -1,6 +1,9 @@
 // Maps an event to the key of a text and its parameters. Pure: the texts are in `locales`.
 
-/** `of` has parameters that are keys of other texts, `with` has plain parameters, and `flags` has names of flags. */
+/**
+ * `of` has parameters that are keys of other texts, `with` has plain parameters, `flags` has names of flags, and `values`
+ * has names of measured values.
+ */
 export function sentence(event) {
   switch (event.kind) {
     case 'command':
@@ -19,7 +22,12 @@ export function sentence(event) {
     case 'link':
       return { key: `link.${event.link}` };
     case 'device':
-      return { key: `event.${event.event}`, with: { count: event.count ?? '' }, flags: event.flags };
+      return {
+        key: `event.${event.event}`,
+        with: { count: event.count ?? '', cause: event.cause ?? '' },
+        flags: event.flags,
+        values: event.values,
+      };
     case 'refused':
       return { key: 'event.refused', with: { command: event.command } };
     case 'gateway':

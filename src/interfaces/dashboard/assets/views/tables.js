@@ -2,8 +2,10 @@
 
 import { html } from '../lib.js';
 import { nameIn, person } from '../core/people.js';
+import { kindText } from './alarm.js';
 import { details, sentence } from './sentence.js';
 import { fixed, moment, ofProblem, plain, t } from '../model/i18n.js';
+import { valueNames } from '../ui/unknown.js';
 
 const BAD = ['NO_PART', 'BLOCKED', 'RANGE', 'TIMEOUT', 'FAILED', 'REFUSED', 'UNKNOWN', 'ABORTED', 'WRONG_PART'];
 
@@ -28,12 +30,14 @@ function valueText(field, given) {
 
 /** The event as a sentence. A refusal is described by its code, in the user's language. */
 function textOf(event) {
-  const { key, of = {}, with: values = {}, flags } = sentence(event);
+  const { key, of = {}, with: parameters = {}, flags, values } = sentence(event);
   const words = Object.fromEntries(Object.entries(of).map(([name, word]) => [name, t(word)]));
   if (flags) words.flags = flags.map((flag) => t(`flag.${flag}`)).join(', ');
+  if (values) words.values = valueNames(values);
+  if (event.kind === 'alarm') words.alarm = kindText(event);
   if (event.kind === 'refused') words.cause = ofProblem({ ...event, detail: event.cause });
   if (event.kind === 'refused' && MOTIONS.includes(event.command)) words.command = t(`command.${event.command}`);
-  if (key) return t(key, { ...values, ...words });
+  if (key) return t(key, { ...parameters, ...words });
   return Object.values(words).join(': ') || t(`kind.${event.kind}`);
 }
 
@@ -63,6 +67,9 @@ export function Events({ list, isOfAll }) {
             </tbody></table>`;
 }
 
+/** A number with its unit, or a dash if it is unknown. */
+const measured = (value, decimals, unit) => (value == null ? '–' : `${fixed(value, decimals)} ${unit}`);
+
 /** `picked` has the grips whose curves are shown, and `onPick` takes another one. */
 export function Grips({ list, isOfAll, picked, onPick }) {
   const columns = [
@@ -85,9 +92,10 @@ export function Grips({ list, isOfAll, picked, onPick }) {
       <td>${moment(grip.started_at)}</td>${isOfAll && html`<td>${grip.gripper}</td>`}<td>${t(`command.${grip.kind}`)}</td>
         <td>${t(`outcome.${grip.outcome}`)}${grip.part_lost_at ? `, ${t('event.part_lost')}` : ''}</td>
           <td>${grip.part_id ?? '–'}</td>
-      <td class="number">${fixed(grip.width_mm, 2)} mm</td><td class="number">${fixed(grip.peak_force_n, 1)} N</td><td
-          class="number">${grip.contact_width_mm == null ? '–' : `${fixed(grip.contact_width_mm, 2)} mm`}</td><td
-              class="number">${grip.duration_ms == null ? '–' : `${fixed(grip.duration_ms / 1000, 2)} s`}</td>
+      <td class="number">${measured(grip.width_mm, 2, 'mm')}</td>
+      <td class="number">${measured(grip.peak_force_n, 1, 'N')}</td>
+      <td class="number">${measured(grip.contact_width_mm, 2, 'mm')}</td>
+      <td class="number">${grip.duration_ms == null ? '–' : `${fixed(grip.duration_ms / 1000, 2)} s`}</td>
       <td><button type="button" class="quiet" aria-pressed=${isPicked(grip)} aria-label=${`${t('history.curve')}: ${
         grip.gripper
       }, ${t(`command.${grip.kind}`)}, ${moment(grip.started_at)}`}
