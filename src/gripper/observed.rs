@@ -44,6 +44,7 @@ pub(super) struct HeldPart {
 }
 
 #[derive(Debug, Default)]
+#[allow(clippy::struct_excessive_bools, reason = "facts that are independent")]
 pub(super) struct Observed {
     pub values: Values,
     /// Whether the ERROR that the device reports remains from an acknowledged FAST STOP (`fw4-en 3.4.2`).

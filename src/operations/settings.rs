@@ -235,12 +235,11 @@ fn get_overdrive(call: &Call) -> SettingResult<OverdriveAnswer> {
     if let Some(flags) = state.values.flags(now) {
         return Ok(overdrive_of(&gripper, flags));
     }
-    let failure = match state.values.flags.missing(now) {
-        Some(missing) => Failure::ValueUnknown { command: "GetSystemState", cause: missing.to_string() },
-        None => {
-            let url = gripper.handle.info().url.clone();
-            Failure::LinkDown { link: state.link, url, cause: state.link_cause.clone() }
-        }
+    let failure = if let Some(missing) = state.values.flags.missing(now) {
+        Failure::ValueUnknown { command: "GetSystemState", cause: missing.to_string() }
+    } else {
+        let url = gripper.handle.info().url.clone();
+        Failure::LinkDown { link: state.link, url, cause: state.link_cause.clone() }
     };
     Err(failure.into())
 }

@@ -268,6 +268,7 @@ fn grip(id: CommandId, at: Timestamp, gripper: &Name, part_id: Option<PartId>, o
         duration_ms: Some(412),
         width_mm: Some(20.1),
         force_n: Some(40.0),
+        measured_at: Some(at),
         peak_force_n: Some(41.5),
         travel_mm: 39.0,
         contact_width_mm: Some(20.2),

@@ -187,8 +187,8 @@ impl Actor {
                     self.continue_setup(now);
                 }
             }
-            // The values come as updates.
-            Purpose::Upkeep => {}
+            // The values come as updates, and a drain looks for the last requests that remain.
+            Purpose::Upkeep | Purpose::LastRequest => {}
             Purpose::Unconfirmed(setting) => self.unconfirmed_ended(now, setting, end),
             Purpose::Temperature => match end {
                 End::Reply(Reply::Success(data)) => self.observed.take(now.instant, &data),
@@ -230,8 +230,6 @@ impl Actor {
             Purpose::Motion(id) => self.motion_ended(now, id, end),
             Purpose::Stop(id) => self.stop_ended(now, id, end),
             Purpose::OwnStop(stop) => self.own_stop_ended(now, stop, &end),
-            // A drain looks for the last requests that remain.
-            Purpose::LastRequest => {}
             Purpose::Exchange(exchange) => {
                 self.reads.forget();
                 if self.is_script(&exchange.command) {

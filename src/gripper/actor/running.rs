@@ -39,6 +39,7 @@ const LONGEST_STROKE_MM: f32 = 250.0;
 
 /// The command that moves the fingers, or is about to move them.
 #[derive(Debug)]
+#[allow(clippy::struct_excessive_bools, reason = "facts that are independent")]
 pub(super) struct Running {
     pub id: CommandId,
     pub motion: Motion,

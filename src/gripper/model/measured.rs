@@ -107,9 +107,8 @@ impl<T: Copy + PartialEq> Measured<T> {
     pub fn is_like(&self, other: &Self) -> bool {
         match (self.standing, other.standing) {
             (Standing::Known(_), Standing::Known(_)) => self.last() == other.last(),
-            (Standing::Known(_), _) | (_, Standing::Known(_)) => false,
             (Standing::Missing(one), Standing::Missing(other)) => one == other,
-            (Standing::Missing(_), _) | (_, Standing::Missing(_)) => false,
+            (Standing::Known(_) | Standing::Missing(_), _) | (_, Standing::Known(_) | Standing::Missing(_)) => false,
             _ => true,
         }
     }

@@ -335,8 +335,8 @@ mod tests {
     fn longest_values() -> Values {
         let now = crate::gripper::clock::instant();
         let good_for = Duration::from_mins(1);
-        let mut values = Values::default();
-        values.clock = Some(LinkClock { instant: now, wall: Timestamp::UNIX_EPOCH });
+        let clock = Some(LinkClock { instant: now, wall: Timestamp::UNIX_EPOCH });
+        let mut values = Values { clock, ..Values::default() };
         values.flags.take(now, SystemState::from_bits_retain(u32::MAX), good_for);
         values.state.take(now, GripperState::Positioning, good_for);
         values.width.take(now, Width::new(-109.123_45).unwrap(), good_for);
