@@ -1,8 +1,8 @@
 //! The measured values of a gripper. Everything that shows or uses one takes it from here, at a time.
 
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
-use jiff::{SignedDuration, Timestamp};
+use jiff::Timestamp;
 use serde::{Serialize, Serializer};
 use utoipa::ToSchema;
 
@@ -42,10 +42,9 @@ impl LinkClock {
     /// Wall clock time of `instant`.
     #[must_use]
     pub fn time_of(self, instant: Instant) -> Timestamp {
-        let offset = |duration: Duration| SignedDuration::try_from(duration).unwrap_or(SignedDuration::MAX);
         let since = match instant.checked_duration_since(self.instant) {
-            Some(since) => self.wall.checked_add(offset(since)),
-            None => self.wall.checked_sub(offset(self.instant.duration_since(instant))),
+            Some(since) => self.wall.checked_add(since),
+            None => self.wall.checked_sub(self.instant.duration_since(instant)),
         };
         since.unwrap_or(self.wall)
     }
@@ -305,7 +304,7 @@ impl Values {
     #[must_use]
     pub fn fixed(flags: SystemState, state: GripperState, [width_mm, speed_mm_s, force_n]: [f32; 3]) -> Self {
         let now = crate::gripper::clock::instant();
-        let good_for = Duration::from_hours(24);
+        let good_for = std::time::Duration::from_hours(24);
         let mut values =
             Self { clock: Some(LinkClock { instant: now, wall: Timestamp::UNIX_EPOCH }), ..Self::default() };
         values.flags.take(now, flags, good_for);

@@ -136,11 +136,10 @@ fn is_stale(state: &State, now: Instant) -> bool {
 /// Returns the input registers of the gateway itself.
 pub(super) fn of_gateway<'a>(states: impl Iterator<Item = &'a State> + Clone, heartbeat: u16, now: Now) -> Inputs {
     let at = now.instant;
-    let has = |state: &State, flag| state.values.has(flag, at) == Some(true);
     let bits = word([
         (IS_HOLDING, states.clone().any(|state| state.values.is_holding(at))),
-        (MOVING, states.clone().any(|state| has(state, SystemState::MOVING))),
-        (REFERENCED, states.clone().all(|state| has(state, SystemState::REFERENCED))),
+        (MOVING, states.clone().any(|state| state.values.has(SystemState::MOVING, at) == Some(true))),
+        (REFERENCED, states.clone().all(|state| state.values.has(SystemState::REFERENCED, at) == Some(true))),
         (FAULT, states.clone().any(|state| state.fault)),
         (FAST_STOP, states.clone().any(|state| state.latch.is_some())),
         (CONNECTED, states.clone().all(|state| state.link == Link::Connected)),

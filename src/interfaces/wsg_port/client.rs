@@ -12,6 +12,7 @@ use tokio::sync::oneshot;
 use tokio_util::sync::CancellationToken;
 
 mod last_replies;
+mod leases;
 use super::acknowledge::acknowledge;
 use super::device::{PortOrder, PortOrdered, PortReply, PortRequest, VirtualDevice};
 use super::port::Port;
@@ -20,10 +21,9 @@ use super::rights;
 use super::status::RefusedStatus;
 use crate::gripper::clock::{self, sleep_until};
 use crate::gripper::model::{
-    Action, Client, CommandReport, FastStopId, LeaseToken, LossCause, Motion, Outcome, Phase, Reason, State,
-    Submission, TakeLease,
+    Action, Client, CommandReport, FastStopId, LeaseToken, Motion, Outcome, Phase, Reason, Submission,
 };
-use crate::gripper::{AcquiredLease, Conflict, Handle, LeaseKeepAlive, Rejection, Ticket};
+use crate::gripper::{AcquiredLease, Conflict, LeaseKeepAlive, Rejection, Ticket};
 use crate::interfaces::admission::{Claim, Class, ConnectionPermit};
 use crate::wsg::{self, Data, Reply, Status, id};
 
@@ -251,21 +251,6 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
         }
     }
 
-    /// Releases the lease of a client that has announced its disconnect, and loses that of any other.
-    async fn leave_lease(&mut self, has_announced: bool) {
-        if has_announced {
-            // An error means that the actor has ended and released its device.
-            let _ = self.port.gripper.release_lease(Some(self.token.clone())).await;
-        } else {
-            self.lose_lease().await;
-        }
-    }
-
-    async fn lose_lease(&mut self) {
-        // The token belongs to this connection alone, however often the lease was taken.
-        self.port.gripper.lose_lease(self.token.clone(), None, LossCause::Disconnected).await;
-    }
-
     /// Whether a client without a connection (UDP) has announced its disconnect and got all replies.
     fn has_left(&self) -> bool {
         self.silence.is_some() && self.device.has_announced() && self.is_owed_nothing()
@@ -470,32 +455,5 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
 
     fn answer(&mut self, ask: PortRequest, answer: PortReply) {
         self.device.answer(clock::instant(), ask, answer, &self.port.gripper.state());
-    }
-
-    /// Keeps the lease that a motion has taken, if it is this client's.
-    fn keep(&mut self) {
-        if self.end.is_some() {
-            return;
-        }
-        let take = TakeLease { token: Some(self.token.clone()), ..TakeLease::by(self.client.clone()) };
-        let gripper: Handle = self.port.gripper.clone();
-        // Fails if another client has just forced the lease away.
-        let kept = async move { Step::Kept(gripper.take_lease(take).await.ok()) };
-        self.begin(kept.boxed());
-    }
-
-    /// Keeps the lease that a script of this client has taken by moving the fingers.
-    fn keep_claimed_lease(&mut self, state: &State) {
-        let is_own = state.lease_holder.as_deref() == Some(&*self.client.subject);
-        if self.uses_scripts && self.kept.is_none() && is_own && state.lease_epoch > self.tried_epoch {
-            self.tried_epoch = state.lease_epoch;
-            self.keep();
-        }
-    }
-
-    /// Stops keeping a lease that was forced away or released, so that the client can be evicted again.
-    fn forget_lost_lease(&mut self, state: &State) {
-        let is_held = |kept: &Kept| state.lease_holder.is_some() && state.lease_epoch == kept.epoch;
-        self.kept.take_if(|kept| !is_held(kept));
     }
 }

@@ -165,6 +165,7 @@ impl Invariants {
         let new = (received - world.invariants.looked_at) as usize;
         world.invariants.looked_at = received;
         let all = world.device.received();
+        let mut is_late = false;
         for frame in &all[all.len() - new.min(all.len())..] {
             if matches!(frame.id, id::STOP | id::FAST_STOP | id::DISCONNECT_ANNOUNCEMENT) {
                 world.invariants.late_motions.clear();
@@ -180,10 +181,10 @@ impl Invariants {
             if id::is_motion(frame.id) && !is_streamed && commands.clone().next().is_some() && !commands.any(is_running)
             {
                 world.invariants.late_motions.push(frame.at);
+                is_late = true;
             }
         }
-        let late = world.invariants.late_motions.len();
-        world.count("motion: received after its command had ended", late > 0);
+        world.count("motion: received after its command had ended", is_late);
         let snapshot = world.device.snapshot();
         if !snapshot.moving || !world.is_connected() {
             world.invariants.late_motions.clear();
