@@ -17,7 +17,7 @@ pub const CLOCK: Operation = Operation::read("clock", "/clock", |call| ready(clo
     "received_at": "2026-11-29T10:30:00.123456Z", "sent_at": "2026-11-29T10:30:00.123461Z"
 }))]
 pub struct GatewayClock {
-    /// Time at which the gateway took the request up, in UTC with microseconds.
+    /// Time at which the gateway received the request, in UTC with microseconds.
     #[schema(format = DateTime)]
     received_at: String,
     /// Time at which the gateway answered, in UTC with microseconds.

@@ -356,11 +356,11 @@ test('an unknown value has a reason', () => {
 });
 
 test('the cause of an alarm names the unknown values', () => {
-  const cause = 'width_mm (the device answers E_CMD_FAILED (18)), force_n (the device no longer sends it)';
+  const cause = 'width_mm (the device answers E_CMD_FAILED (18)), force_n (not sent by the device)';
   assert.deepEqual(namesIn(cause), ['width_mm', 'force_n']);
   assert.equal(
     withNames(cause, (name) => name.toUpperCase()),
-    'WIDTH_MM (the device answers E_CMD_FAILED (18)), FORCE_N (the device no longer sends it)',
+    'WIDTH_MM (the device answers E_CMD_FAILED (18)), FORCE_N (not sent by the device)',
   );
 });
 

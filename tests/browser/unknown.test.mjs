@@ -78,7 +78,7 @@ for (const language of ['en', 'de']) {
     assert.equal(await page.locator('.gap-note').count(), 0);
     await page.click('[data-view=history]');
     await page.click('[data-choice=records-events]');
-    const values = { values: words['value.width_mm'], cause: 'the device no longer sends it' };
+    const values = { values: words['value.width_mm'], cause: 'not sent by the device' };
     await page.waitForSelector(`tbody tr:has-text("${filled(words['event.values_unknown'], values)}")`);
     await page.waitForSelector(`tbody tr:has-text("${filled(words['event.values_known'], values)}")`);
     const raised = `${words['alarm.value_unknown']} (${words['value.width_mm']})`;
@@ -96,7 +96,7 @@ for (const language of ['en', 'de']) {
     await cover.locator(`strong:text-is("${reason}")`).waitFor();
     const [since] = words['stale.flags_since'].split('{');
     assert.match(await cover.innerText(), new RegExp(`${since}\\d\\d:\\d\\d:\\d\\d`));
-    assert.match(await cover.innerText(), /flags \(the device no longer sends it\)/);
+    assert.match(await cover.innerText(), /flags \(not sent by the device\)/);
     const states = page.locator('.statuses');
     assert.match(await states.innerText(), new RegExp(words['bar.unknown']));
     assert.equal(await states.locator(`[title="${reason}"]`).count(), 1);

@@ -40,13 +40,13 @@ impl fmt::Display for Arrived {
                 "the line returned {echoes} of the gateway's own frames (a local echo, or a plug that loops back)"
             )
         } else if frames == 0 && checksum_errors > 0 {
-            write!(f, "{checksum_errors} frames arrived with a wrong checksum (a disturbed line, or another bit rate)")
+            write!(f, "frames with a wrong checksum: {checksum_errors} (a disturbed line, or another bit rate)")
         } else if frames == 0 {
             write!(f, "{bytes} bytes arrived that form no frame (noise, another bit rate, or another kind of device)")
         } else if invalid_replies > 0 {
-            write!(f, "{invalid_replies} replies arrived with another length, or with impossible values")
+            write!(f, "replies with another length or impossible values: {invalid_replies}")
         } else {
-            write!(f, "{frames} other frames arrived")
+            write!(f, "no reply to this request arrived, but other valid frames: {frames}")
         }
     }
 }
@@ -65,10 +65,10 @@ mod tests {
         for (arrived, expected) in [
             (nothing, "nothing arrived"),
             (noise, "40 bytes arrived that form no frame"),
-            (damaged, "3 frames arrived with a wrong checksum"),
+            (damaged, "frames with a wrong checksum: 3 ("),
             (echo, "the line returned 2 of the gateway's own frames"),
-            (longer, "1 replies arrived with another length"),
-            (Arrived { invalid_replies: 0, ..longer }, "1 other frames arrived"),
+            (longer, "replies with another length or impossible values: 1"),
+            (Arrived { invalid_replies: 0, ..longer }, "no reply to this request arrived, but other valid frames: 1"),
         ] {
             assert!(arrived.to_string().starts_with(expected), "{arrived}");
         }

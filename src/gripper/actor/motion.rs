@@ -200,7 +200,9 @@ impl Actor {
         let confirmed = self.confirmed_by_state(now, outcome, newer_than);
         if confirmed == Outcome::Unknown && outcome != confirmed {
             let state = self.observed.values.state(now.instant).map_or("unknown", GripperState::name);
-            let detail = format!("it reported success, but its gripper state ({state}) does not show a held part");
+            let detail = format!(
+                "the device reported success, but its state is {state} and not HOLDING: check whether the part is held"
+            );
             running.unknown_because = Some(Failure::DeviceProtocol { command: "Grip", detail });
         }
         let outcome = confirmed;
@@ -219,7 +221,7 @@ impl Actor {
                 }
             }
             if let Some(failure) = running.unknown_because.map(Rejection::from) {
-                let stop = if running.is_stopped_behind { "; the gateway sends a Stop behind it" } else { "" };
+                let stop = if running.is_stopped_behind { "; the gateway sends a Stop after this command" } else { "" };
                 record.explain(failure.code(), &format!("{failure}{stop}"));
             }
             if matches!(outcome, Outcome::Aborted | Outcome::Unknown) {

@@ -40,7 +40,7 @@ pub enum Missing {
 impl fmt::Display for Missing {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Silent => f.write_str("the device no longer sends it"),
+            Self::Silent => f.write_str("not sent by the device"),
             Self::Refused(status) => write!(f, "the device answers {status} ({})", status.code()),
             Self::Impossible => f.write_str("the device sends a number that no gripper can have"),
             Self::Unreadable => f.write_str("the device sends a reply that cannot be read"),

@@ -42,7 +42,7 @@ fn motion_delayed_beyond_its_result_does_not_move_the_fingers() {
         let command = run(&mut world, move_to(50.0, 200.0));
         assert_eq!(command.outcome, Some(Outcome::Unknown));
         let detail = command.detail.unwrap();
-        assert!(detail.ends_with("; the gateway sends a Stop behind it"), "{detail}");
+        assert!(detail.ends_with("; the gateway sends a Stop after this command"), "{detail}");
         assert!(received(&world, from).is_empty(), "nothing has arrived");
         world.advance(Duration::from_secs(4));
         assert_eq!(received(&world, from)[..2], [id::PRE_POSITION, id::STOP], "{interface:?}");
@@ -194,7 +194,7 @@ fn held_part_is_confirmed_by_the_grippers_state() {
     world.device.apply(world.now, Change::BreakGetter { id: id::GET_GRIPPER_STATE, how: BrokenGetter::Silent });
     let command = finish(&mut world, &running);
     assert_eq!((command.outcome, command.reached_goal), (Some(Outcome::Unknown), None));
-    assert!(command.detail.unwrap().contains("does not show a held part"));
+    assert!(command.detail.unwrap().contains("is NO_REF and not HOLDING"));
 }
 
 #[test]

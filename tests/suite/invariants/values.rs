@@ -86,7 +86,7 @@ fn unknown_flags_make_the_link_unresponsive() {
     world.advance(Duration::from_millis(900));
     assert_eq!(state(&world).link, Link::Unresponsive);
     let cause = state(&world).link_cause.unwrap();
-    assert!(cause.contains("flags (the device no longer sends it), width_mm ("), "{cause}");
+    assert!(cause.contains("flags (not sent by the device), width_mm ("), "{cause}");
     assert!(values(&world).force_n.is_some(), "what the device sends is shown");
     let from = mark(&world);
     fast_stop(&mut world);

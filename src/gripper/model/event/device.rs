@@ -62,7 +62,7 @@ pub enum DeviceEvent {
     ValuesUnknown {
         /// Names of the values, as in the state.
         values: Vec<&'static str>,
-        /// Reason, as text.
+        /// Reason that the values are unknown, as text.
         cause: String,
     },
     /// Values are known again.

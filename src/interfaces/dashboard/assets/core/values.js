@@ -17,7 +17,7 @@ export function whyUnknown(state, name) {
 export const lacksFlags = (state) =>
   state.link === 'unresponsive' && state.age_ms !== null && state.stale.includes('flags');
 
-/** Matches the names in the cause of an alarm, such as `width_mm (the device no longer sends it), force_n (…)`. */
+/** Matches the names in the cause of an alarm, such as `width_mm (not sent by the device), force_n (…)`. */
 const NAMES = /(^|, )(\w+)(?= \()/g;
 
 /** Names of the values in the cause of an alarm about unknown values. */
