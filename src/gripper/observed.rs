@@ -216,11 +216,13 @@ impl Observed {
         if missing == self.reported {
             return None;
         }
-        let lost = missing.iter().filter(|missing| !self.reported.contains(missing)).copied().collect();
-        let is_missing = |name| missing.iter().any(|(missing, _)| *missing == name);
-        let found = self.reported.iter().map(|(name, _)| *name).filter(|name| !is_missing(*name)).collect();
-        self.reported = missing;
-        Some(MissingReport { lost, found })
+        let lost: Vec<_> = missing.iter().filter(|missing| !self.reported.contains(missing)).copied().collect();
+        let known = self.reported.extract_if(.., |(name, _)| self.values.is_known(name, now));
+        let found: Vec<_> = known.map(|(name, _)| name).collect();
+        // A value that is not expected for a while, such as the width while homing, is not known again.
+        self.reported.retain(|(name, _)| !missing.iter().any(|(missing, _)| missing == name));
+        self.reported.extend(missing);
+        (!lost.is_empty() || !found.is_empty()).then_some(MissingReport { lost, found })
     }
 
     /// Whether a part is held in this state. A FAST STOP ends HOLDING, but the part may still be between the fingers.
@@ -427,6 +429,13 @@ mod tests {
         assert!(observed.report(now).is_none(), "reported once");
         observed.take(now, &Data::Width(Width::new(12.0).unwrap()));
         assert_eq!(observed.report(now).unwrap().found, ["width_mm"]);
+        // Neither homing nor a new setup makes a value known.
+        let later = now + Duration::from_secs(1);
+        assert!(observed.report(later).unwrap().lost.contains(&("width_mm", Missing::Silent)));
+        observed.take(later, &Data::SystemState(SystemState::empty()));
+        observed.link_set_up(later, false);
+        assert_eq!(observed.report(later).unwrap().found, ["flags"]);
+        assert!(observed.values.stale(later).any(|name| name == "force_n"));
     }
 
     #[test]

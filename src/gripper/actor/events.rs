@@ -155,14 +155,14 @@ impl Actor {
             return self.scripts.rested();
         }
         let begins = before.is_some_and(|before| !moves(before));
-        if begins && !self.motion.is_sent() && self.motion.takes_late_motion(now.instant) {
-            tracing::warn!(gripper = %self.config.name, "late motion stopped: its client was told that its result is unknown");
-            self.link.send_stop(now, OwnStop::new(None));
-        }
         // Scripts are checked before a held part, since a script can release it. After a part is lost, the fingers
         // close further by themselves.
         if !begins || self.motion.is_sent() || self.is_part_lost() || self.script_moves(now) {
             return;
+        }
+        if let Some(id) = self.motion.takes_late_motion(now.instant) {
+            tracing::warn!(gripper = %self.config.name, "late motion stopped: its client was told that its result is unknown");
+            return self.link.send_stop(now, OwnStop::new(Some(id)));
         }
         let holds = self.observed.last_state() == Some(GripperState::Holding);
         if !holds && !self.motion.may_move(now.instant) {
@@ -194,6 +194,7 @@ impl Actor {
                 End::Reply(Reply::Success(data)) => self.observed.take(now.instant, &data),
                 End::Reply(Reply::Status(status)) => {
                     self.observed.lose(id::GET_TEMPERATURE, Missing::Refused(status));
+                    self.reads.forget();
                 }
                 End::Invalid(_) => self.observed.lose(id::GET_TEMPERATURE, Missing::Unreadable),
                 End::Unanswered { .. } | End::NoResult { .. } => {}

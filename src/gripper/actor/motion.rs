@@ -140,8 +140,9 @@ impl Actor {
             return;
         }
         self.link.send_stop(now, OwnStop::new(Some(id)));
-        if !was_accepted {
-            self.motion.may_begin_late(now.instant);
+        // Elsewhere the Stop arrives after the motion.
+        if !was_accepted && self.link.properties.may_duplicate {
+            self.motion.may_begin_late(now.instant, id);
         }
         if let Some(running) = self.motion.get_mut(id) {
             running.is_stopped_behind = true;
@@ -160,9 +161,16 @@ impl Actor {
         }
     }
 
-    /// Sends a Stop behind a script's request that was written and not answered.
+    /// Sends a Stop behind a script's request that was written and not answered, and behind an accepted one without a
+    /// result while the fingers may move.
     pub(super) fn stop_script(&mut self, now: Now, command: &Command, end: &End) {
-        let is_unknown = matches!(end, End::Unanswered { written: true, stopped: false, .. });
+        let is_unknown = match end {
+            End::Unanswered { written, stopped, .. } => *written && !stopped,
+            End::NoResult { stopped } => {
+                !stopped && self.observed.values.has(SystemState::MOVING, now.instant) != Some(false)
+            }
+            _ => false,
+        };
         if is_unknown && self.is_script(command) {
             self.link.send_stop(now, OwnStop::new(None));
         }
@@ -189,7 +197,10 @@ impl Actor {
                 if !running.accepted {
                     // An accepted motion cannot act later: it acts now, and its holder has said what a loss means.
                     running.is_stopped_behind = true;
-                    self.link.owed_stop.get_or_insert_with(|| OwnStop::new(Some(running.id)));
+                    self.link.owed_stop = Some(OwnStop::new(Some(running.id)));
+                    if self.link.properties.may_duplicate {
+                        self.motion.may_begin_late(now.instant, running.id);
+                    }
                 }
                 (Outcome::Unknown, None)
             }
@@ -199,7 +210,7 @@ impl Actor {
         let contact_width_mm = if is_held { self.recording.judge_contact(running.id) } else { None };
         let confirmed = self.confirmed_by_state(now, outcome, newer_than);
         if confirmed == Outcome::Unknown && outcome != confirmed {
-            let state = self.observed.values.state(now.instant).map_or("unknown", GripperState::name);
+            let state = self.state_after(now, newer_than).map_or("unknown", GripperState::name);
             let detail = format!(
                 "the device reported success, but its state is {state} and not HOLDING: check whether the part is held"
             );
@@ -237,15 +248,19 @@ impl Actor {
         if outcome != Outcome::PartHeld {
             return outcome;
         }
-        let state = &self.observed.values.state;
-        let is_new = newer_than.is_none_or(|then| state.arrived_at() > Some(then));
-        match state.at(now.instant).filter(|_| is_new) {
+        match self.state_after(now, newer_than) {
             Some(GripperState::Holding) => outcome,
             // The next motion has ended the wait for a newer state.
             Some(GripperState::Grasping) if newer_than.is_none() => outcome,
             Some(GripperState::NoPart | GripperState::PartLost) => Outcome::NoPart,
             _ => Outcome::Unknown,
         }
+    }
+
+    /// The gripper state, if it arrived after this time.
+    fn state_after(&self, now: Now, newer_than: Option<Instant>) -> Option<GripperState> {
+        let state = &self.observed.values.state;
+        state.at(now.instant).filter(|_| newer_than.is_none_or(|then| state.arrived_at() > Some(then)))
     }
 
     /// Judges a grip with a part by its recipe and its width at contact, or at the end. Without any width, the part is

@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 use super::super::Now;
 use super::super::error::{Failure, Rejection};
 use super::super::handle::ResultSender;
+use super::super::model::Missing;
 use super::Actor;
 use super::link::Purpose;
 use crate::wsg::session::End;
@@ -88,7 +89,12 @@ impl Actor {
                 self.observed.take(now.instant, &data);
                 Ok(data)
             }
-            end => Err(self.rejection_of(crate::wsg::id::name(id).unwrap_or("a getter"), end)),
+            end => {
+                if let End::Reply(Reply::Status(status)) = end {
+                    self.observed.lose(id, Missing::Refused(status));
+                }
+                Err(self.rejection_of(crate::wsg::id::name(id).unwrap_or("a getter"), end))
+            }
         };
         self.reads.take(now.instant, id, result);
     }

@@ -42,6 +42,8 @@ impl Actor {
             self.link.url.clone_from(&config.url);
             self.link.properties = config.properties;
             self.link.unannounced = false;
+            self.link.owed_stop = None;
+            self.motion.forget_unseen();
             self.connector = Some(connector);
         } else {
             self.observed.set_rules(config.updates, config.properties.bytes_per_second);

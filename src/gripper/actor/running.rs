@@ -25,6 +25,9 @@ const BEGINS_WITHIN: Duration = Duration::from_secs(2);
 /// client's next read have the values at rest. The next updates usually end the wait sooner.
 const SETTLES_WITHIN: Duration = Duration::from_millis(50);
 
+/// Longest wait for the gripper state that confirms a grip. A packet that is lost on the network is repeated meanwhile.
+const CONFIRMED_WITHIN: Duration = Duration::from_millis(500);
+
 /// Time after a motion's end for which the flags can still show movement.
 const ENDS_WITHIN: Duration = Duration::from_millis(300);
 
@@ -164,12 +167,12 @@ pub(super) struct MotionState {
     unseen: Option<(CommandId, Instant)>,
     /// Time until which a motion without any reply can begin late, although a Stop was sent behind it: datagrams can
     /// overtake each other.
-    begins_late_until: Option<Instant>,
+    begins_late: Option<(CommandId, Instant)>,
 }
 
 impl MotionState {
     pub(super) fn new(pause: Duration) -> Self {
-        Self { pause, running: None, last_end: None, may_move_until: None, unseen: None, begins_late_until: None }
+        Self { pause, running: None, last_end: None, may_move_until: None, unseen: None, begins_late: None }
     }
 
     pub(super) fn set_pause(&mut self, pause: Duration) {
@@ -238,19 +241,19 @@ impl MotionState {
         (waited > self.pause + BEGINS_WITHIN).then_some(waited)
     }
 
-    /// Time at which a settling motion ends even without newer values, which arrive with this period.
-    pub(super) fn settles_at(&self, period: Duration) -> Option<Instant> {
-        match self.running.as_ref()?.stage {
-            Stage::Settling(settling) => Some(settling.since + period + SETTLES_WITHIN),
-            _ => None,
-        }
+    /// Time at which a settling motion ends even without newer values.
+    pub(super) fn settles_at(&self, observed: &Observed) -> Option<Instant> {
+        let Stage::Settling(Settling { outcome, since, .. }) = self.running.as_ref()?.stage else { return None };
+        let is_confirmed = outcome != Outcome::PartHeld || observed.values.state.arrived_at() > Some(since);
+        let within = if is_confirmed { SETTLES_WITHIN } else { CONFIRMED_WITHIN };
+        Some(since + observed.period + within)
     }
 
     /// Whether the motion has settled: values newer than its end have arrived, or the wait is over.
     pub(super) fn has_settled(&self, now: Instant, observed: &Observed) -> bool {
         match &self.running {
             Some(Running { stage: Stage::Settling(settling), is_streamed, .. }) => {
-                let is_over = self.settles_at(observed.period).is_some_and(|at| at <= now);
+                let is_over = self.settles_at(observed).is_some_and(|at| at <= now);
                 let is_closing =
                     settling.outcome == Outcome::PartHeld && observed.last_state() == Some(GripperState::Grasping);
                 *is_streamed || is_over || !is_closing && observed.is_newer_than(settling.since)
@@ -262,7 +265,7 @@ impl MotionState {
     /// End of a settling motion whose wait for newer values was in vain: values from before its end do not belong to its
     /// result. A device that sends only changes has no newer ones.
     pub(super) fn waited_since(&self, now: Instant, observed: &Observed) -> Option<Instant> {
-        let is_over = self.settles_at(observed.period).is_some_and(|at| at <= now);
+        let is_over = self.settles_at(observed).is_some_and(|at| at <= now);
         match self.running.as_ref()?.stage {
             Stage::Settling(settling) if is_over && !observed.is_on_change() => Some(settling.since),
             _ => None,
@@ -299,13 +302,19 @@ impl MotionState {
     }
 
     /// Notes that a motion without any reply can begin late.
-    pub(super) fn may_begin_late(&mut self, now: Instant) {
-        self.begins_late_until = Some(now + BEGINS_LATE_WITHIN);
+    pub(super) fn may_begin_late(&mut self, now: Instant, id: CommandId) {
+        self.begins_late = Some((id, now + BEGINS_LATE_WITHIN));
     }
 
-    /// Whether the fingers that begin to move do so because of a late motion. It is noticed once.
-    pub(super) fn takes_late_motion(&mut self, now: Instant) -> bool {
-        self.begins_late_until.take().is_some_and(|until| now < until)
+    /// Returns the late motion that has made the fingers move, if there can be one. It is the mover again.
+    pub(super) fn takes_late_motion(&mut self, now: Instant) -> Option<CommandId> {
+        self.unseen = Some(self.begins_late.take()?);
+        self.unseen.filter(|(_, until)| now < *until).map(|(id, _)| id)
+    }
+
+    /// Forgets the motions of a device that another one replaces.
+    pub(super) fn forget_unseen(&mut self) {
+        (self.unseen, self.begins_late) = (None, None);
     }
 
     /// Notes that the fingers stand still.

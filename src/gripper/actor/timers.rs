@@ -38,7 +38,7 @@ const TIMERS: [Timer; 18] = [
         |actor| actor.latch.clears_at(),
         |actor, now| actor.latch.handle_timeout(now.instant, actor.observed.last_flags()),
     ),
-    always(|actor| actor.motion.settles_at(actor.observed.period), Actor::end_settled_motion),
+    always(|actor| actor.motion.settles_at(&actor.observed), Actor::end_settled_motion),
     always(|actor| actor.lease.next_timeout(), Actor::expire_lease),
     due(|actor| Some(actor.recording.oldest_wait()?.0), Actor::give_up_recording),
     always(Actor::motion_starts_at, Actor::start_waiting_motion),

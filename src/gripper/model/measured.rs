@@ -119,9 +119,10 @@ impl<T: Copy + PartialEq> Measured<T> {
         self.standing = Standing::Known(arrived_at + good_for);
     }
 
-    /// Notes that the device should report the value from now on: the first one before `until`.
+    /// Notes that the device should report the value from now on: the first one before `until`. A missing value stays
+    /// missing until it arrives.
     pub fn expect(&mut self, until: Instant) {
-        if !matches!(self.standing, Standing::Known(_)) {
+        if !matches!(self.standing, Standing::Known(_) | Standing::Missing(_)) {
             self.standing = Standing::Awaited(until);
         }
     }

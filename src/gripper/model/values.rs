@@ -133,6 +133,12 @@ impl Values {
         self.all(now).into_iter().filter_map(|known| Some((known.name, known.missing?)))
     }
 
+    /// Whether the value with this name is known.
+    #[must_use]
+    pub fn is_known(&self, name: &str, now: Instant) -> bool {
+        self.all(now).iter().any(|known| known.name == name && known.arrived_at.is_some())
+    }
+
     /// Names of the values that should be known and are not.
     pub fn stale(&self, now: Instant) -> impl Iterator<Item = &'static str> {
         self.missing(now).map(|(name, _)| name)

@@ -73,7 +73,7 @@ fn unanswered_motion_of_a_lost_link_is_stopped_after_the_reconnection() {
     world.disconnected("unplugged");
     let command = finish(&mut world, &running);
     assert_eq!(command.outcome, Some(Outcome::Unknown));
-    assert!(command.detail.unwrap().ends_with("a Stop behind it"));
+    assert!(command.detail.unwrap().ends_with("a Stop after this command"));
     world.advance(Duration::from_secs(1));
     assert!(received(&world, from).contains(&id::STOP));
     assert!(!world.device.snapshot().moving);
@@ -90,6 +90,49 @@ fn late_motion_that_overtakes_its_stop_is_stopped_again() {
     world.advance(Duration::from_millis(200));
     assert!(!world.device.snapshot().moving);
     assert!(values(&world).width_mm.unwrap() > 104.0);
+}
+
+#[test]
+fn lost_stop_of_a_late_motion_is_repeated() {
+    let mut world = homed_on(Interface::Udp);
+    world.device.apply(world.now, Change::Fault { kind: FaultKind::NoReply, id: Some(id::PRE_POSITION), times: 1 });
+    let motion = move_to(50.0, 5.0);
+    assert_eq!(run(&mut world, motion.clone()).outcome, Some(Outcome::Unknown));
+    world.advance(Duration::from_millis(500));
+    world.device.apply(world.now, Change::Fault { kind: FaultKind::NoReply, id: Some(id::STOP), times: 1 });
+    deliver_again(&mut world, &motion.request());
+    world.advance(Duration::from_millis(200));
+    assert!(world.device.snapshot().moving, "the first Stop is lost");
+    world.advance(Duration::from_secs(2));
+    assert!(!world.device.snapshot().moving);
+}
+
+#[test]
+fn motion_of_somebody_else_after_a_lost_request_is_not_stopped() {
+    let mut world = homed_on(Interface::Tcp);
+    world.device.apply(world.now, Change::Fault { kind: FaultKind::NoReply, id: Some(id::PRE_POSITION), times: 1 });
+    assert_eq!(run(&mut world, move_to(50.0, 20.0)).outcome, Some(Outcome::Unknown));
+    world.advance(Duration::from_secs(1));
+    let from = mark(&world);
+    world.device.apply(world.now, Change::MoveBySomebody { width_mm: 60.0, speed_mm_s: 10.0 });
+    world.advance(Duration::from_secs(1));
+    assert!(world.device.snapshot().moving);
+    assert!(!received(&world, from).contains(&id::STOP));
+}
+
+#[test]
+fn grip_is_confirmed_by_a_state_that_a_short_gap_delays() {
+    let mut world = World::calm(device().with_part(wsg_gateway::sim::Part::outside(20.0)), None);
+    assert_eq!(run(&mut world, home()).outcome, Some(Outcome::Success));
+    let running = start(&mut world, grip(None));
+    world.advance(Duration::from_millis(100));
+    world.device.apply(world.now, Change::BreakGetter { id: id::GET_GRIPPER_STATE, how: BrokenGetter::Silent });
+    while world.device.snapshot().moving {
+        world.advance(Duration::from_millis(10));
+    }
+    world.advance(Duration::from_millis(250));
+    world.device.apply(world.now, Change::MendGetters);
+    assert_eq!(finish(&mut world, &running).outcome, Some(Outcome::PartHeld));
 }
 
 #[test]
@@ -194,7 +237,7 @@ fn held_part_is_confirmed_by_the_grippers_state() {
     world.device.apply(world.now, Change::BreakGetter { id: id::GET_GRIPPER_STATE, how: BrokenGetter::Silent });
     let command = finish(&mut world, &running);
     assert_eq!((command.outcome, command.reached_goal), (Some(Outcome::Unknown), None));
-    assert!(command.detail.unwrap().contains("is NO_REF and not HOLDING"));
+    assert!(command.detail.unwrap().contains("is unknown and not HOLDING"));
 }
 
 #[test]
