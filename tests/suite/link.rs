@@ -269,7 +269,7 @@ async fn motion_on_a_stalled_link_does_not_start_when_it_heals() {
     let gateway = Gateway::homed_at(proxy.address).await;
     proxy.stall(true);
     let ended = gateway.post("move", &json!({"width_mm": 50, "speed_mm_s": 200})).await.outcome("UNKNOWN");
-    assert!(ended["detail"].as_str().unwrap().contains("a Stop behind it"), "{ended}");
+    assert!(ended["detail"].as_str().unwrap().contains("a Stop after this command"), "{ended}");
     proxy.stall(false);
     let state = gateway.until("the Stop arrives", |state| state["flags"].to_string().contains("AXIS_STOPPED")).await;
     assert!(state["width_mm"].as_f64() > Some(100.0), "{state}");

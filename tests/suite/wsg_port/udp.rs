@@ -48,8 +48,9 @@ async fn client_silent_for_three_seconds_is_lost() {
     let silent = Instant::now();
     assert_eq!(ask(&two, port, MOVE, &move_to(50.0, 50.0)).await, ACCESS_DENIED, "another address is another client");
     assert_eq!(ask(&two, port, 0x40, &[0; 3]).await, SUCCESS);
-    let state = gateway.until("the client is lost", |state| state["fast_stop_cause"] == "client_lost").await;
+    gateway.until("the client is lost", |state| state["fast_stop_cause"] == "client_lost").await;
     let lost = silent.elapsed();
+    let state = gateway.until("the device stops", |state| state["fast_stop_confirmed"] == true).await;
     assert!(lost > Duration::from_millis(2900) && lost < Duration::from_secs(6), "{lost:?}");
     assert_eq!((&state["lease_holder"], proxy.frames.count(0x23)), (&json!(null), 1), "{state}");
     assert_eq!(next(&one).await, (MOVE, ABORTED), "the silent client still gets its status");
