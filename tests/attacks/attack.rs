@@ -132,20 +132,34 @@ impl Row {
         assert!(lost.is_empty(), "{}: {}", self.attack, lost.join("; "));
     }
 
+    /// Asserts that all FAST STOPs reached the device, and that all clients got their answers, however late.
+    #[track_caller]
+    pub fn loses_no_answer(&self) {
+        let mut misses = self.lost();
+        misses.extend(self.unanswered());
+        assert!(misses.is_empty(), "{}: {}", self.attack, misses.join("; "));
+    }
+
     /// Asserts that no client was blocked, that each one got the answer to its FAST STOP, and that all interfaces were in
     /// time.
     #[track_caller]
     pub fn answers_every_client(&self) {
         let mut misses = self.misses();
+        misses.extend(self.unanswered());
         for (way, stops) in &self.stops {
-            if stops.answered < stops.asked {
-                misses.push(format!("{way:?}: {} of {} FAST STOPs were answered", stops.answered, stops.asked));
-            }
             if let Some(time) = stops.percentile(99).filter(|time| *way != Way::FreshHttp && *time > REACHES_WITHIN) {
                 misses.push(format!("{way:?}: the p99 is {time:?}, above {REACHES_WITHIN:?}"));
             }
         }
         assert!(misses.is_empty(), "{}: {}", self.attack, misses.join("; "));
+    }
+
+    /// Describes interfaces that left FAST STOPs unanswered.
+    fn unanswered(&self) -> impl Iterator<Item = String> {
+        self.stops
+            .iter()
+            .filter(|(_, stops)| stops.answered < stops.asked)
+            .map(|(way, stops)| format!("{way:?}: {} of {} FAST STOPs were answered", stops.answered, stops.asked))
     }
 
     /// Describes interfaces that lost FAST STOPs.

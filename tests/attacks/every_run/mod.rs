@@ -1,12 +1,12 @@
 //! Attacks in every run of the tests.
 
 mod bodies;
-mod crowded_ports;
+pub mod crowded_ports;
 mod descriptors;
 mod polls;
 mod sockets;
 mod spellings;
-mod unfinished_stops;
+pub mod unfinished_stops;
 
 use std::sync::Arc;
 

@@ -11,6 +11,7 @@ mod request_ids;
 mod slow;
 mod soak;
 mod streams;
+mod unfinished_stops;
 mod unread;
 
 use std::sync::Arc;
