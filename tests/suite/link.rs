@@ -286,7 +286,8 @@ async fn motion_that_was_never_received_ends_with_its_connection() {
     gateway.post("move", &json!({"width_mm": 50, "speed_mm_s": 200})).await.outcome("UNKNOWN");
     gateway.until_link("reconnecting").await;
     proxy.stall(false);
-    let state = gateway.until("the device's FAST STOP", |state| state["fast_stop"] == true).await;
+    let is_set_up = |state: &Value| state["fast_stop"] == true && state["width_mm"].is_number();
+    let state = gateway.until("the device's FAST STOP", is_set_up).await;
     assert_eq!(state["fast_stop_cause"], "unannounced_disconnect", "the unsent bytes are gone with 07h: {state}");
     let width_mm = state["width_mm"].as_f64();
     assert!(width_mm > Some(100.0), "{state}");
