@@ -182,11 +182,14 @@ fn raised_by(state: &State) -> Vec<AlarmKind> {
     conditions.into_iter().filter_map(|(key, cause)| cause.map(|_| key.alarm)).collect()
 }
 
+fn values(flags: SystemState, state: GripperState) -> Values {
+    Values::fixed(flags, state, [20.0, 0.0, 0.0])
+}
+
 #[test]
 fn state_shows_its_conditions() {
     let unknown = State::unknown("left".parse().unwrap());
     assert_eq!(raised_by(&unknown), [AlarmKind::NotReached]);
-    let values = |flags, state| Values::fixed(flags, state, [20.0, 0.0, 0.0]);
     let idle = values(SystemState::REFERENCED, GripperState::Idle);
     let fine = State { link: Link::Connected, values: idle, fault_code: 0, fast_stop: Some(false), ..unknown };
     assert_eq!(raised_by(&fine), []);

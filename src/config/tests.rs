@@ -243,13 +243,15 @@ fn wsg_port_error_names_remedy() {
     assert!(ports("127.0.0.1:0", "127.0.0.1:0").is_ok());
 }
 
+/// A file with a gripper at `url`, and one with WSG ports.
+fn two_grippers(url: &str, ports: &str, more: &str) -> String {
+    format!("{more}\n[grippers.a]\nurl = \"{url}\"\n[grippers.b]\nurl = \"sim://wsg50\"\nwsg_port = [{ports}]\n")
+}
+
 /// With both defaults, a driver on this machine would get its replies at the port where the gripper's arrive.
 #[test]
 fn reply_port_is_no_port_of_the_gateway() {
-    let text = |url: &str, ports: &str, more: &str| {
-        format!("{more}\n[grippers.a]\nurl = \"{url}\"\n[grippers.b]\nurl = \"sim://wsg50\"\nwsg_port = [{ports}]\n")
-    };
-    let mistake = file(&text("udp://10.0.0.5", "\"udp://127.0.0.1\"", "")).unwrap_err().to_string();
+    let mistake = file(&two_grippers("udp://10.0.0.5", "\"udp://127.0.0.1\"", "")).unwrap_err().to_string();
     assert!(mistake.starts_with("gateway.toml:6: the WSG port of b sends its replies to UDP port 1501"), "{mistake}");
     assert!(mistake.contains("the local_port of a") && mistake.contains("reply_port=sender"), "{mistake}");
     let quic = "zenoh = { listen = [\"quic/127.0.0.1:1777\"] }";
@@ -259,12 +261,12 @@ fn reply_port_is_no_port_of_the_gateway() {
         ("sim://wsg50", "\"udp://127.0.0.1?reply_port=5353\"", "mdns = true", "the port of mDNS"),
         ("sim://wsg50", "\"udp://127.0.0.1?reply_port=1777\"", quic, "a Zenoh endpoint"),
     ] {
-        let mistake = file(&text(url, ports, more)).unwrap_err().to_string();
+        let mistake = file(&two_grippers(url, ports, more)).unwrap_err().to_string();
         assert!(mistake.contains(owner), "{mistake}");
     }
     for ports in ["\"udp://127.0.0.1?reply_port=sender\"", "\"udp://127.0.0.1?reply_port=1502\"", "\"127.0.0.1:1501\""]
     {
-        assert!(file(&text("udp://10.0.0.5", ports, "")).is_ok(), "{ports}");
+        assert!(file(&two_grippers("udp://10.0.0.5", ports, "")).is_ok(), "{ports}");
     }
 }
 

@@ -58,8 +58,8 @@ impl RunningGrippers {
     ) -> anyhow::Result<Self> {
         let grippers = Grippers::new([]);
         let (devices, journal, registry) = (devices.clone(), journal.clone(), registry.clone());
-        let (running, in_use) = (BTreeMap::new(), DevicesInUse::default());
-        let mut this = Self { grippers, devices, journal, registry, running, in_use };
+        let in_use = DevicesInUse::default();
+        let mut this = Self { grippers, devices, journal, registry, running: BTreeMap::new(), in_use };
         let mut handles = Vec::new();
         for gripper in &config.grippers {
             let connector = this.connector(gripper)?;

@@ -124,7 +124,8 @@ pub async fn check_devices(config: &Config) -> Result<(), ConfigError> {
         }
     }
     let Some((first, second, why)) = find_same_device(&addresses).await else { return Ok(()) };
-    let (first, second) = (grippers[first], grippers[second]);
+    let first = grippers[first];
+    let second = grippers[second];
     let remedy = "use separate addresses, or remove one";
     let detail = format!("{} and {} cannot both be served: {why}: {remedy}", first.name, second.name);
     Err(ConfigError::at(&second.place, detail))

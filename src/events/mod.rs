@@ -175,7 +175,7 @@ impl Source {
     }
 
     fn telemetry(&self, state: &State) -> Option<Notification> {
-        self.telemetry.get(state.update, || Notification::new("telemetry", &state.telemetry(Now::read())))
+        self.telemetry.get(state.update, || Notification::telemetry(state))
     }
 
     fn frame(&self, record: &WireRecord) -> Option<Notification> {
@@ -276,10 +276,9 @@ impl Subscription {
                 ]
             } else {
                 // The age grows without an update, so a heartbeat is not shared.
-                let telemetry = || Notification::new("telemetry", &state.telemetry(Now::read()));
                 [
                     has(Topic::State).then(|| Notification::new("state", &*state)).flatten(),
-                    has(Topic::Telemetry).then(telemetry).flatten(),
+                    has(Topic::Telemetry).then(|| Notification::telemetry(&state)).flatten(),
                 ]
             };
             let missed = state.seq.saturating_sub(*seq + 1).min(missed_ticks);

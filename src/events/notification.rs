@@ -8,6 +8,9 @@ use serde::Serialize;
 use tokio_tungstenite::tungstenite::protocol::frame::Frame;
 use tokio_tungstenite::tungstenite::protocol::frame::coding::{Data, OpCode};
 
+use crate::gripper::Now;
+use crate::gripper::model::State;
+
 /// A JSON-RPC notification in a WebSocket frame, with the update's body as its parameters. Clones share the bytes.
 #[derive(Debug, Clone)]
 pub struct Notification {
@@ -23,6 +26,12 @@ impl Notification {
         let json = serde_json::to_string(body)
             .inspect_err(|error| tracing::error!(method, %error, "update cannot be encoded as JSON"));
         Some(Self::of_json(method, &json.ok()?))
+    }
+
+    /// Serialises the values that are known now.
+    #[must_use]
+    pub fn telemetry(state: &State) -> Option<Self> {
+        Self::new("telemetry", &state.telemetry(Now::read()))
     }
 
     /// Wraps a body that is JSON already.

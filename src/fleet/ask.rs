@@ -156,7 +156,8 @@ impl Peers {
     /// Returns the reply if its session is known as `gateway`, else `None`. After an outage, the reply can come before
     /// the session's token, so the check is repeated up to [`PROOFS`] times.
     async fn of_owner(&self, gateway: &Name, waiting: WaitingReply) -> Option<WaitingReply> {
-        let (session, replier) = (self.session.get()?, waiting.reply.replier_id()?.zid().to_string());
+        let session = self.session.get()?;
+        let replier = waiting.reply.replier_id()?.zid().to_string();
         for _ in 0..PROOFS {
             // In a single condition, the lock would be held across the await.
             let is_known = self.others().is_instance(gateway, &replier);

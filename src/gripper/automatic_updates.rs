@@ -62,11 +62,11 @@ mod tests {
 
     #[test]
     fn updates_take_at_most_half_of_the_line() {
-        let period_ms = |line| period_ms(UpdateRules::default(), line);
-        assert_eq!(period_ms(None), 10);
-        assert_eq!(period_ms(Some(11_520)), 12, "115200 baud");
-        assert_eq!(period_ms(Some(960)), 140, "9600 baud");
-        assert_eq!(period_ms(Some(100_000)), 10);
+        let rules = UpdateRules::default();
+        assert_eq!(period_ms(rules, None), 10);
+        assert_eq!(period_ms(rules, Some(11_520)), 12, "115200 baud");
+        assert_eq!(period_ms(rules, Some(960)), 140, "9600 baud");
+        assert_eq!(period_ms(rules, Some(100_000)), 10);
     }
 
     #[test]

@@ -219,6 +219,12 @@ mod tests {
         Motion::Grip { width: width(mm), speed: speed(mm_s), force, part_id: None, recipe: None, is_reference: false }
     }
 
+    /// A relative motion.
+    fn by(mm: f32) -> Motion {
+        let flags = MoveFlags { relative: true, stop_on_block: true };
+        Motion::Move { flags, width: width(mm), speed: speed(50.0) }
+    }
+
     #[test]
     fn errors_name_the_field_and_its_limits() {
         let limits = limits();
@@ -234,8 +240,6 @@ mod tests {
     #[test]
     fn relative_moves_are_checked_at_their_end() {
         let limits = limits();
-        let flags = MoveFlags { relative: true, stop_on_block: true };
-        let by = |mm| Motion::Move { flags, width: width(mm), speed: speed(50.0) };
         assert_eq!(field(&limits.check_motion(&by(-31.0), Some(30.0))), Some(("width_mm", -30.0, 80.0)));
         assert_eq!(limits.check_motion(&by(-30.0), Some(30.0)), Ok(()));
     }
@@ -257,8 +261,6 @@ mod tests {
     fn fingers_outside_soft_limits_may_move_towards_them() {
         let soft = SoftLimits::new(width(20.0), width(50.0));
         let limits = Limits { soft, ..limits() };
-        let flags = MoveFlags { relative: true, stop_on_block: true };
-        let by = |mm| Motion::Move { flags, width: width(mm), speed: speed(50.0) };
         assert_eq!(limits.check_motion(&grip(60.0, 50.0, None), Some(70.0)), Ok(()));
         assert_eq!(limits.check_motion(&by(-10.0), Some(70.0)), Ok(()));
         assert_eq!(field(&limits.check_motion(&grip(71.0, 50.0, None), Some(70.0))), Some(("width_mm", 20.0, 70.0)));

@@ -243,8 +243,8 @@ impl Observed {
     pub(super) fn is_newer_than(&self, then: Instant) -> bool {
         let Values { flags, state, width, speed, force, .. } = &self.values;
         let arrivals = [flags.arrived_at(), state.arrived_at(), speed.arrived_at(), force.arrived_at()];
-        let is_newer = |arrived_at: Option<Instant>| arrived_at.is_some_and(|arrived_at| arrived_at > then);
-        arrivals.into_iter().all(is_newer) && (!width.is_expected() || is_newer(width.arrived_at()))
+        let width_arrival = width.is_expected().then_some(width.arrived_at());
+        arrivals.into_iter().chain(width_arrival).all(|arrived_at| arrived_at > Some(then))
     }
 
     /// Whether the device sends its values by itself, again and again.

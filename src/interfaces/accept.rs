@@ -118,7 +118,8 @@ where
     A: Fn(TcpStream, SocketAddr) -> Option<F> + Clone + Send + 'static,
     F: Future<Output = ()> + Send + 'static,
 {
-    let (mut clients, mut acceptor) = (JoinSet::new(), Acceptor::default());
+    let mut clients = JoinSet::new();
+    let mut acceptor = Acceptor::default();
     loop {
         let accepted = tokio::select! {
             biased;

@@ -166,10 +166,7 @@ fn tare_needs_a_sensor_and_zeroes_it() {
 #[test]
 fn over_current_while_powering_up_ends_the_request() {
     let mut bench = Bench::new(DeviceConfig::wsg50());
-    let (on, off) = (
-        Command::FingerPower { finger: Finger::Two, on: true },
-        Command::FingerPower { finger: Finger::Two, on: false },
-    );
+    let [on, off] = [true, false].map(|on| Command::FingerPower { finger: Finger::Two, on });
     bench.reply(&off);
     assert_eq!(bench.reply(&on), PENDING);
     bench.pass(ms(100));

@@ -165,7 +165,8 @@ impl Device {
         while let Some(decoded) = self.decoder.next() {
             match decoded {
                 Decoded::Frame(frame) => {
-                    let (id, payload) = (frame.id, frame.payload.to_vec());
+                    let id = frame.id;
+                    let payload = frame.payload.to_vec();
                     let command = Command::parse(id, &payload);
                     self.take_request(id, payload, command);
                 }

@@ -52,18 +52,21 @@ impl fmt::Display for DeviceEnd {
 
 /// Ends of the device at an address whose host has these addresses.
 fn ends_of(address: &Address, resolved: &[SocketAddr]) -> Vec<DeviceEnd> {
-    let canonical = |address: &SocketAddr| match address.ip().to_canonical() {
-        // An IPv6 address keeps its zone.
-        IpAddr::V6(_) => *address,
-        ip @ IpAddr::V4(_) => SocketAddr::new(ip, address.port()),
-    };
     match address {
-        Address::Tcp(_) => resolved.iter().map(|address| DeviceEnd::Tcp(canonical(address))).collect(),
-        Address::Udp(_) => resolved.iter().map(|address| DeviceEnd::Udp(canonical(address))).collect(),
+        Address::Tcp(_) => resolved.iter().map(canonical).map(DeviceEnd::Tcp).collect(),
+        Address::Udp(_) => resolved.iter().map(canonical).map(DeviceEnd::Udp).collect(),
         Address::Serial(SerialAddress { path, .. }) => {
             vec![DeviceEnd::Serial(fs::canonicalize(path).unwrap_or_else(|_| path.into()))]
         }
         Address::Can(_) => Vec::new(),
+    }
+}
+
+/// Turns an IPv4 address that is written as an IPv6 one into an IPv4 address. An IPv6 address keeps its zone.
+fn canonical(address: &SocketAddr) -> SocketAddr {
+    match address.ip().to_canonical() {
+        IpAddr::V6(_) => *address,
+        ip @ IpAddr::V4(_) => SocketAddr::new(ip, address.port()),
     }
 }
 
@@ -222,8 +225,9 @@ mod tests {
     async fn same_device_is_found_by_name_and_by_link() {
         let link = std::env::temp_dir().join(format!("wsg-same-device-{}", std::process::id()));
         std::os::unix::fs::symlink("/dev/null", &link).unwrap();
-        let serial = |path: &str| format!("serial://{path}").parse::<Address>().unwrap();
-        let links = [serial("/dev/null"), at("10.0.0.1", 1000), serial(link.to_str().unwrap())];
+        let [device, linked] =
+            ["/dev/null", link.to_str().unwrap()].map(|path| format!("serial://{path}").parse::<Address>().unwrap());
+        let links = [device, at("10.0.0.1", 1000), linked];
         let found = find_same_device(&links.each_ref()).await;
         fs::remove_file(&link).unwrap();
         assert_eq!(found, Some((0, 2, "both are at /dev/null, but a device accepts only one client".to_owned())));

@@ -62,15 +62,18 @@ fn is_number(label: &str) -> bool {
 /// # Errors
 /// [`InvalidWebUrl`].
 pub fn parse_web_url(text: &str) -> Result<Url, InvalidWebUrl> {
-    let invalid_host = || InvalidWebUrl::Host(InvalidHost(written_host(text).to_owned()));
     let url = Url::parse(text).map_err(|error| match error {
-        ParseError::InvalidIpv4Address => invalid_host(),
+        ParseError::InvalidIpv4Address => invalid_host(text),
         error => InvalidWebUrl::Syntax(error),
     })?;
     match url.host() {
-        Some(Host::Ipv4(address)) if written_host(text) != address.to_string() => Err(invalid_host()),
+        Some(Host::Ipv4(address)) if written_host(text) != address.to_string() => Err(invalid_host(text)),
         _ => Ok(url),
     }
+}
+
+fn invalid_host(text: &str) -> InvalidWebUrl {
+    InvalidWebUrl::Host(InvalidHost(written_host(text).to_owned()))
 }
 
 /// Host in the text of a URL, as written, up to the port. The host is not an IPv6 address.

@@ -130,6 +130,11 @@ impl DataBytes {
         self.max
     }
 
+    /// Largest number of bytes that is accepted, with fields that a later firmware has added.
+    const fn max_extended(self) -> usize {
+        if self.is_extensible { self.max + MAX_ADDED_BYTES } else { self.max }
+    }
+
     /// Whether a reply can have `bytes` bytes of data.
     #[must_use]
     pub const fn allow(self, bytes: usize) -> bool {
@@ -265,8 +270,7 @@ pub const fn has_updates(id: u8) -> bool {
 /// Largest payload in bytes of a reply to `id`: the limit for a [`Decoder`](super::Decoder) of replies.
 #[must_use]
 pub fn max_reply_bytes(id: u8) -> usize {
-    let added = |data: DataBytes| if data.is_extensible { MAX_ADDED_BYTES } else { 0 };
-    STATUS_BYTES + describe(id).map_or(MAX_OPAQUE_BYTES, |row| row.data.max + added(row.data))
+    STATUS_BYTES + describe(id).map_or(MAX_OPAQUE_BYTES, |row| row.data.max_extended())
 }
 
 /// Whether a reply to `id` with this payload has more bytes than the manuals say.

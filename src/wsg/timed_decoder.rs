@@ -32,8 +32,7 @@ impl TimedDecoder {
     /// [`Decoder::pause`].
     #[must_use]
     pub fn new(decoder: Decoder, frame_within: Duration, resync_pause: Duration) -> Self {
-        let (heard, partial, lost_since) = (None, None, None);
-        Self { decoder, frame_within, resync_pause, heard, partial, lost_within: None, lost_since }
+        Self { decoder, frame_within, resync_pause, heard: None, partial: None, lost_within: None, lost_since: None }
     }
 
     /// Drops bytes behind a rejected frame for no longer than a frame can take, also without a pause. This is for a

@@ -10,6 +10,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::{TcpSocket, TcpStream};
 use tokio::sync::Mutex;
 use tokio::time::{Interval, MissedTickBehavior, interval, sleep, timeout};
@@ -147,6 +148,15 @@ impl Crowd {
 
     pub fn opened(&self) {
         self.opened.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Sends the beginning of a request, and waits for the end of the connection.
+    pub async fn send_unfinished(&self, mut stream: TcpStream, beginning: &str) -> std::io::Result<()> {
+        stream.write_all(beginning.as_bytes()).await?;
+        let _inside = self.inside();
+        let mut buffer = [0; 512];
+        while stream.read(&mut buffer).await? > 0 {}
+        Ok(())
     }
 
     /// Opens `count` connections, and reopens each when its member ends.

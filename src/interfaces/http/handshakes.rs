@@ -99,7 +99,7 @@ mod tests {
         let mut waiting: Vec<_> = (0..3).map(|_| Box::pin(handshakes.turn(flood))).collect();
         assert!(waiting.iter_mut().all(|turn| turn.as_mut().now_or_never().is_none()));
         assert!(handshakes.turn([127, 0, 0, 1].into()).now_or_never().is_some(), "another address does not wait");
-        let (one, other) = ("2001:db8:0:1::1".parse::<IpAddr>().unwrap(), "2001:db8:0:1::2".parse().unwrap());
+        let [one, other] = ["2001:db8:0:1::1", "2001:db8:0:1::2"].map(|address| address.parse::<IpAddr>().unwrap());
         let network: Vec<_> = (0..AT_ONCE).filter_map(|_| handshakes.turn(one).now_or_never()).collect();
         assert_eq!(network.len(), AT_ONCE);
         assert!(handshakes.turn(other).now_or_never().is_none(), "a machine can use all addresses of its /64");

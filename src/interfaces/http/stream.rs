@@ -20,7 +20,6 @@ use super::runtime_mover::RuntimeMover;
 use super::visitor::Identified;
 use crate::access::{Access, Visitor};
 use crate::events::{DEFAULT_HZ, Gap, MAX_HZ, Notification, Pace, Subscription, TOPICS, Topic};
-use crate::gripper::Now;
 use crate::gripper::model::Name;
 use crate::interfaces::admission::{Claim, Class, ConnectionPermit};
 use crate::interfaces::metrics::InterfaceMetrics;
@@ -148,8 +147,7 @@ impl Stream {
         for state in updates.snapshot() {
             let has = |topic| topics.contains(&topic);
             ready.extend(has(Topic::State).then(|| Notification::new("state", &*state)).flatten());
-            let telemetry = || Notification::new("telemetry", &state.telemetry(Now::read()));
-            ready.extend(has(Topic::Telemetry).then(telemetry).flatten());
+            ready.extend(has(Topic::Telemetry).then(|| Notification::telemetry(&state)).flatten());
         }
         let (metrics, closing) = (context.metrics.clone(), context.closing.clone());
         let (client, pace) = ((context.gateway.access.clone(), visitor), Pace::new(max_hz as u32));

@@ -103,7 +103,8 @@ fn nested(rules: &Rules, bytes: &[u8]) {
     let Some((&id, bytes)) = bytes.split_first().filter(|(id, _)| **id != frame::PREAMBLE[0]) else { return };
     for times in [1, 1 + 5000 / bytes.len().max(1), 65_535 / bytes.len().max(1)] {
         let Some((mut device, state)) = connected(rules) else { return };
-        let (mut sent, payload) = (Vec::new(), bytes.repeat(times));
+        let mut sent = Vec::new();
+        let payload = bytes.repeat(times);
         // Looks like a Disconnect Announcement with a short size field.
         if id == id::DISCONNECT_ANNOUNCEMENT && payload.len() % 256 == 0 {
             continue;

@@ -26,7 +26,8 @@ pub(super) async fn serve(
     closing: CancellationToken,
 ) -> Option<TcpListener> {
     let admission = port.admission();
-    let (admitting, ends) = (admission.clone(), closing.clone());
+    let admitting = admission.clone();
+    let ends = closing.clone();
     let admit = move |stream, peer| admit(&port, stream, peer, &admitting).map(|served| served.run(ends.clone()));
     let mut clients = accept::each(&listener, &admission, &draining, begins_with_fast_stop, admit).await;
     let listener = closing.is_cancelled().then_some(listener);

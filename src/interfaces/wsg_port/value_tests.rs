@@ -13,8 +13,8 @@ fn updates_keep_their_period_but_not_below_the_minimum() {
     assert_eq!(bench.sent().len(), 2, "switching on is answered");
     bench.pass(Duration::from_millis(500));
     let sent = bench.sent();
-    let of = |id| sent.iter().filter(|(sent, _)| *sent == id).count();
-    assert_eq!((of(id::GET_WIDTH), of(id::GET_FORCE)), (10, 5));
+    let counts = [id::GET_WIDTH, id::GET_FORCE].map(|id| sent.iter().filter(|(sent, _)| *sent == id).count());
+    assert_eq!(counts, [10, 5]);
     bench.send(id::GET_WIDTH, &[0; 3]);
     bench.pass(Duration::from_millis(100));
     assert_eq!(bench.sent().iter().filter(|(sent, _)| *sent == id::GET_WIDTH).count(), 1, "updates are off, one reply");

@@ -61,6 +61,11 @@ impl Closed {
         Self { at, since, echoed: false, two_step: false, script_until: None, duplicate_until: None }
     }
 
+    /// Whether the id opens with an echo, or without one after [`LATE_REPLIES_WITHIN`].
+    fn awaits_echo(&self) -> bool {
+        !self.echoed && self.script_until.is_none()
+    }
+
     /// Whether the reply to the last request can arrive after the echo.
     pub(super) fn awaits_result(&self) -> bool {
         self.two_step || self.script_until.is_some()
@@ -183,16 +188,14 @@ impl Slots {
 
     /// The next time at which a closed id opens without an echo.
     pub(super) fn echo_deadline(&self) -> Option<Instant> {
-        let waits = |closed: &Closed| !closed.echoed && closed.script_until.is_none();
-        self.closed().filter(|(_, closed)| waits(closed)).map(|(_, closed)| closed.at + LATE_REPLIES_WITHIN).min()
+        let waiting = self.closed().filter(|(_, closed)| closed.awaits_echo());
+        waiting.map(|(_, closed)| closed.at + LATE_REPLIES_WITHIN).min()
     }
 
     /// Lets the ids that have waited for long enough go on as after an echo.
     pub(super) fn stop_waiting_for_echoes(&mut self, now: Instant) {
         self.retain(|slot| match &mut slot.state {
-            SlotState::Closed(closed)
-                if !closed.echoed && closed.script_until.is_none() && closed.at + LATE_REPLIES_WITHIN <= now =>
-            {
+            SlotState::Closed(closed) if closed.awaits_echo() && closed.at + LATE_REPLIES_WITHIN <= now => {
                 closed.echoed = true;
                 closed.two_step
             }

@@ -3,7 +3,6 @@
 use std::io;
 use std::sync::Arc;
 
-use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
 
 use super::crowded_ports::attacked;
@@ -15,14 +14,10 @@ pub const UNFINISHED: usize = 2000;
 pub const WANTED: Wanted = Wanted { others: 20, ..MANY };
 
 /// Sends the head of a FAST STOP for `h` and one byte of its body, and waits for the end of the connection.
-pub async fn half_sent_stop(crowd: Arc<Crowd>, _: usize, mut stream: TcpStream) -> io::Result<()> {
+pub async fn half_sent_stop(crowd: Arc<Crowd>, _: usize, stream: TcpStream) -> io::Result<()> {
     let path = "/api/v1/grippers/h/fast-stop";
     let head = format!("POST {path} HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100\r\n\r\n{{");
-    stream.write_all(head.as_bytes()).await?;
-    let _inside = crowd.inside();
-    let mut buffer = [0; 512];
-    while stream.read(&mut buffer).await? > 0 {}
-    Ok(())
+    crowd.send_unfinished(stream, &head).await
 }
 
 #[test]

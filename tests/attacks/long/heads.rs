@@ -3,7 +3,6 @@
 use std::io;
 use std::sync::Arc;
 
-use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
 
 use crate::attack::{self, MANY};
@@ -12,13 +11,9 @@ use crate::device::Device;
 use crate::gateway::{Gateway, Limits};
 
 /// Sends the beginning of a head, every third one of a FAST STOP, and waits for the end of the connection.
-pub async fn half_head(crowd: Arc<Crowd>, index: usize, mut stream: TcpStream) -> io::Result<()> {
+pub async fn half_head(crowd: Arc<Crowd>, index: usize, stream: TcpStream) -> io::Result<()> {
     let head = ["POST /api/v1/fast-stop HTTP/1.1\r\nHost: loc", "POST /api/v1/grippers/g/fast-st", "G"][index % 3];
-    stream.write_all(head.as_bytes()).await?;
-    let _inside = crowd.inside();
-    let mut buffer = [0; 512];
-    while stream.read(&mut buffer).await? > 0 {}
-    Ok(())
+    crowd.send_unfinished(stream, head).await
 }
 
 #[test]

@@ -96,7 +96,8 @@ pub(super) async fn inspect(
         return Inspected::Ended;
     }
     let first = first.get(..seen).unwrap_or_default();
-    let (is_fast_stop, is_whole) = (may_be_fast_stop(first), begins_with_fast_stop(first));
+    let is_fast_stop = may_be_fast_stop(first);
+    let is_whole = begins_with_fast_stop(first);
     let stream = ClientStream::Left(QuickAckStream::new(stream));
     Inspected::Begun(Begun { stream, certificate: None, is_fast_stop, is_whole })
 }
@@ -149,7 +150,8 @@ pub(super) async fn decrypt(
     let (first, stream) =
         handshake.ok()?.inspect_err(|error| tracing::debug!(%peer, %error, "no TLS connection")).ok()?;
     let certificate = stream.get_ref().1.peer_certificates().and_then(|chain| holder(chain.first()?));
-    let (is_fast_stop, is_whole) = (may_be_fast_stop(&first), begins_with_fast_stop(&first));
+    let is_fast_stop = may_be_fast_stop(&first);
+    let is_whole = begins_with_fast_stop(&first);
     let stream = ClientStream::Right(Box::new(EncryptedStream::new(first, stream)));
     Some(Begun { stream, certificate, is_fast_stop, is_whole })
 }
