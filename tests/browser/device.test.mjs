@@ -65,7 +65,7 @@ test('a finger set is named, counts its grips, and asks for maintenance', async 
   );
   await page.click('[data-view=device]');
   await page.click('#finger-set-reset');
-  await page.click('#finger-set-reset:has-text("Yes, reset")');
+  await page.click('#finger-set-reset-sure:has-text("Yes, reset")');
   await panel.locator('dd:has-text("0 / 1")').waitFor();
   assert.equal(await panel.locator('.tone-low').count(), 0);
   assertClean(visitor);

@@ -126,7 +126,7 @@ test('the first screen works without the other modules, and STOP too', async () 
   await page.waitForSelector('.stopped:has-text("confirmed")');
   await page.unroute('**/later.js');
   await page.click('.missing button');
-  await page.waitForSelector('.motion-panel .latch');
+  await page.waitForSelector('.latch');
   assert.equal(await page.locator('.missing').count(), 0);
 });
 
@@ -253,8 +253,9 @@ test('texts are cut like in the gateway, and ambiguous numbers are not sent', as
   await named(page, 'あ'.repeat(20));
   assert.equal(await page.inputValue('#my-name'), 'あ'.repeat(10));
   await page.click('#give-back');
+  await page.waitForSelector('html:not([data-pressed]) #take-control');
   await page.click('#take-control');
-  await page.waitForSelector(`.control-panel:has-text("${'あ'.repeat(10)}")`);
+  await page.waitForSelector(`.take:has-text("${'あ'.repeat(10)}")`);
   await page.fill('#speed', '100');
   await page.fill('#width', '1,000');
   assert.match(await page.locator('#width-hint').innerText(), /1,000 can be read as 1 or as 1000/);

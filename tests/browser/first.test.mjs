@@ -9,6 +9,7 @@ import { assertClean, browser, gateway, LONGER_TIMES, started, until, visit } fr
 const launched = await browser();
 
 const MOST_REQUESTS = 10;
+const MOST_BYTES = 120_000;
 
 test('the first load needs few requests', async () => {
   const served = await gateway();
@@ -20,12 +21,34 @@ test('the first load needs few requests', async () => {
   page.on('response', async (response) => sizes.push(Number((await response.request().sizes()).responseBodySize)));
   await page.goto(served.url);
   await page.waitForSelector('#take-control');
+  await page.waitForSelector('.charts-panel canvas');
   await page.waitForLoadState('networkidle');
   const bytes = sizes.reduce((sum, size) => sum + size, 0);
   console.log(`${asked.length} requests, ${bytes} bytes`);
   assert.ok(asked.length <= MOST_REQUESTS, asked.join('\n'));
-  const manifest = await (await fetch(await page.locator('link[rel=manifest]').evaluate(({ href }) => href))).json();
-  assert.equal(manifest.start_url, '/');
+  assert.ok(bytes <= MOST_BYTES, `${bytes} bytes`);
+  const address = await page.locator('link[rel=manifest]').evaluate(({ href }) => href);
+  const { start_url } = await (await fetch(address)).json();
+  assert.equal(new URL(start_url, address).href, `${served.url}/`);
+  assertClean(visitor);
+});
+
+test('the second script needs no round trip of its own', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served, { path: '/readyz', hasOwnTimes: true });
+  const { page } = visitor;
+  const second = page.waitForRequest('**/later.js');
+  const seconds = [];
+  page.on('request', (request) => {
+    if (request.url().endsWith('/later.js')) seconds.push(request.url());
+  });
+  await page.route('**/app.js', async (route) => {
+    await second;
+    await route.continue();
+  });
+  await page.goto(served.url);
+  await page.waitForSelector('.motion-panel');
+  assert.equal(seconds.length, 1);
   assertClean(visitor);
 });
 

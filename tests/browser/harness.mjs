@@ -196,9 +196,13 @@ async function explain(launched) {
   }
 }
 
-/** Launches the browser for all tests of a file. All that a test starts ends with the test. */
-export async function browser() {
-  const launched = await chromium.launch({ executablePath: CHROMIUM, args: FLAGS, chromiumSandbox: false });
+/** Launches a browser. */
+export const launch = (more = {}) =>
+  chromium.launch({ executablePath: CHROMIUM, args: FLAGS, chromiumSandbox: false, ...more });
+
+/** Launches the browser for all tests of a file, with more flags. All that a test starts ends with the test. */
+export async function browser(more = []) {
+  const launched = await launch({ args: [...FLAGS, ...more] });
   afterEach(({ passed }) => passed || explain(launched));
   afterEach(endAll);
   after(() => launched.close());
@@ -226,14 +230,23 @@ export const LONGER_TIMES = [
   ['LIVES_MS = 1000;', 'LIVES_MS = 20_000;'],
 ];
 
+let visitors = 0;
+
+/** Name of the next visitor. A page without a name asks for one before it takes control. */
+function nextName() {
+  visitors += 1;
+  return `tester-${visitors}`;
+}
+
 /**
  * Opens a fresh browser context with a watched page, until the test ends. `hasOwnTimes` leaves the page's times as they
- * are, for tests of these times; other pages have `LONGER_TIMES`.
+ * are, for tests of these times; other pages have `LONGER_TIMES`. `name` is the person's name; null for a page that does
+ * not know it yet.
  */
 export async function visit(
   launched,
   { url },
-  { path = '/', width = 1280, height = 800, hasOwnTimes = false, ...more } = {},
+  { path = '/', width = 1280, height = 800, hasOwnTimes = false, name = nextName(), ...more } = {},
 ) {
   const context = await launched.newContext({
     viewport: { width, height },
@@ -243,6 +256,12 @@ export async function visit(
   });
   started.push(() => context.close());
   context.setDefaultTimeout(DEADLINE_MS);
+  if (name !== null)
+    await context.addInitScript((given) => {
+      // Stored as by the page's `model/prefs.js`.
+      const key = `wsg${new URL('.', location.href).pathname.slice(0, -1)}.name`;
+      if (localStorage.getItem(key) === null) localStorage.setItem(key, JSON.stringify(given));
+    }, name);
   const page = await context.newPage();
   const wrong = [];
   /** While the gateway is away on purpose, connection errors are allowed. */
@@ -278,20 +297,19 @@ export async function controlled(page) {
 /** Takes control of the shown gripper, and homes it. */
 export async function homed(page) {
   await controlled(page);
-  await page.click('#home:enabled');
+  // On a small screen, the button can be scrolled to the place of the last click.
+  await page.waitForSelector('html:not([data-pressed]) #home:enabled');
+  await page.click('#home');
   await page.waitForSelector('.last[data-outcome=SUCCESS]');
-  await page.waitForSelector('#move:enabled');
+  await page.waitForSelector('#release:enabled');
 }
 
-/**
- * Stops all grippers, and waits until the notice has moved the page: a click is lost if its button moves between press
- * and release.
- */
+/** Stops all grippers, and waits until the notice is old enough to be pressed. */
 export async function stopped(page) {
   await page.click('#stop');
   await page.waitForSelector('.alarm-badge.tone-critical');
   await rendered(page);
-  await page.waitForSelector('.notices[data-moved]', { state: 'detached' });
+  await page.waitForSelector('.strip[data-fresh]', { state: 'detached' });
 }
 
 /** Waits until the page has rendered what its scripts have changed. */

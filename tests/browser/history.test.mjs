@@ -1,6 +1,7 @@
 // The history: filters, all grippers, overlaid curves, numbers per part, events in words, and the printed report.
 
 import assert from 'node:assert/strict';
+import { readFile } from 'node:fs/promises';
 import { test } from 'node:test';
 
 import { assertClean, browser, gateway, shoot, until, visit } from './harness.mjs';
@@ -45,6 +46,10 @@ test('records are filtered by time, and shown for all grippers', async () => {
   await page.waitForSelector('p:has-text("No records.")');
   const [file] = await Promise.all([page.waitForEvent('download'), page.click('#export')]);
   assert.equal(file.suggestedFilename(), 'all-grips.csv');
+  assert.match(await readFile(await file.path(), 'utf8'), /^\uFEFFseq,id,/);
+  const [plain] = await Promise.all([page.waitForEvent('download'), page.click('#export-plain')]);
+  assert.equal(plain.suggestedFilename(), 'all-grips-plain.csv');
+  assert.match(await readFile(await plain.path(), 'utf8'), /^seq,id,/);
   assertClean(visitor);
 });
 

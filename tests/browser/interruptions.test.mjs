@@ -49,10 +49,10 @@ test('handed-over control is taken from any view', async () => {
   await named(ben.page, 'Ben');
   await controlled(anna.page);
   await ben.page.click('#ask-control');
-  await ben.page.waitForSelector('.control-panel:has-text("Control requested.")');
+  await ben.page.waitForSelector('.take:has-text("Control requested.")');
   await ben.page.click('[data-view=history]');
   await ben.page.waitForSelector('#export');
-  await anna.page.click('#hand-over');
+  await anna.page.click('.strip:not([data-fresh]) #hand-over');
   await ben.page.waitForSelector('.status.tone-mine');
   const { events } = await served.ask('GET', 'events?kind=lease&order=oldest');
   assert.equal(events.at(-1).event, 'handed_over');
@@ -67,7 +67,7 @@ test('control handed over at once is taken too', async () => {
   await ben.page.reload();
   await controlled(anna.page);
   await ben.page.click('#ask-control');
-  await anna.page.click('#hand-over');
+  await anna.page.click('.strip:not([data-fresh]) #hand-over');
   await ben.page.waitForSelector('.status.tone-mine');
 });
 
@@ -81,10 +81,10 @@ test('only the first request for control is confirmed', async () => {
   await named(ben.page, 'Ben');
   await controlled(anna.page);
   await ben.page.click('#ask-control');
-  await ben.page.waitForSelector('.control-panel:has-text("Control requested.")');
+  await ben.page.waitForSelector('.take:has-text("Control requested.")');
   await cleo.page.click('#ask-control');
   await cleo.page.waitForSelector('.problem:has-text("Ben asked for control first")');
-  assert.equal(await cleo.page.locator('.control-panel:has-text("Control requested.")').count(), 0);
+  assert.equal(await cleo.page.locator('.take:has-text("Control requested.")').count(), 0);
 });
 
 test('control is taken by the second that asked, and by a page that was renamed meanwhile', async () => {
@@ -101,13 +101,13 @@ test('control is taken by the second that asked, and by a page that was renamed 
     await named(page, name);
   await controlled(anna.page);
   await ben.page.click('#ask-control');
-  await ben.page.waitForSelector('.control-panel:has-text("Control requested.")');
+  await ben.page.waitForSelector('.take:has-text("Control requested.")');
   await cleo.page.click('#ask-control');
   await cleo.page.waitForSelector('.problem:has-text("Ben asked for control first")');
   await named(ben.page, 'Benjamin');
-  await anna.page.click('#hand-over');
+  await anna.page.click('.strip:not([data-fresh]) #hand-over');
   await ben.page.waitForSelector('.status.tone-mine');
-  await ben.page.click('#hand-over');
+  await ben.page.click('.strip:not([data-fresh]) #hand-over');
   await cleo.page.waitForSelector('.status.tone-mine');
   const { holder, requested_by: asks } = await served.ask('GET', 'grippers/left/lease');
   assert.deepEqual([holder, asks], ['Cleo', null]);
@@ -346,8 +346,6 @@ async function jogging(filters, ...changes) {
   await anna.page.fill('#speed', '5');
   await anna.page.waitForSelector('#hand-over');
   await rendered(anna.page);
-  // A press just after the notice has moved the page is dropped.
-  await anna.page.waitForSelector('.notices[data-moved]', { state: 'detached' });
   const state = () => served.ask('GET', 'grippers/left/state');
   const from = (await state()).width_mm;
   await anna.page.locator('#jog-close').hover();
@@ -548,7 +546,7 @@ test('a command lost with the gateway is not shown as running', async () => {
   assert.doesNotMatch(await page.locator('.jaws-words').innerText(), /target/);
 });
 
-test('two tabs are two clients and share presets', async () => {
+test('two tabs are two clients', async () => {
   const served = await gateway();
   const one = await visit(launched, served);
   const name = (page) => page.inputValue('#my-name');
@@ -563,15 +561,5 @@ test('two tabs are two clients and share presets', async () => {
   await other.reload();
   await other.waitForSelector('#take-control');
   assert.equal(await name(other), `${first} (2)`, 'a tab keeps its name');
-
-  const save = async (page, preset) => {
-    await page.fill('#preset-name', preset);
-    await page.click('.preset-new button');
-  };
-  await save(one.page, 'small');
-  await other.waitForSelector('.preset:has-text("small")');
-  await save(other, 'large');
-  await one.page.waitForSelector('.preset:has-text("large")');
-  for (const page of [one.page, other]) assert.equal(await page.locator('.preset').count(), 2);
   assertClean(one);
 });

@@ -14,7 +14,7 @@ const SECONDS = Number(process.env.SECONDS_OF_LOAD ?? 60);
 const GRIPPERS = 8;
 
 /** Share of one core for all of the browser's processes together, on a 10-inch panel's screen. */
-const MOST_CPU = 0.1;
+const MOST_CPU = 0.08;
 const MOST_FIRST_MS = 300;
 /** Factor for cold caches. */
 const MOST_CACHES = 1.3;

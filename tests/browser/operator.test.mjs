@@ -67,7 +67,8 @@ test('Release opens to a width of its own, which the browser remembers', async (
   await page.waitForSelector('#open-hint:has-text("empty: 110 mm")');
   await page.fill('#open', '55');
   await page.fill('#width', '40');
-  await page.waitForSelector('.why:has-text("Grip and Move go to 40 mm, Release opens to 55 mm")');
+  await page.waitForSelector('#grip:has-text("40 mm")');
+  await page.waitForSelector('#release:has-text("55 mm")');
   await page.reload();
   await page.waitForSelector('#open');
   assert.equal(await page.inputValue('#open'), '55');
@@ -81,9 +82,19 @@ test('a grip’s result is large beside the jaws', async () => {
   await homed(page);
   await page.click('#grip:enabled');
   await page.waitForSelector('.result[data-result=HOLDING]:has-text("Part held")');
-  await page.locator('.result', { hasText: /19\.\d mm · \d+\.\d N/ }).waitFor();
-  const size = await page.locator('.result').evaluate((one) => Number.parseFloat(getComputedStyle(one).fontSize));
-  assert.ok(size >= 20, `${size}`);
+  await page.locator('.figure-main .figure-value', { hasText: /19\.\d\d/ }).waitFor();
+  await page.locator('.figure-force .figure-value', { hasText: /\d+\.\d/ }).waitFor();
+  for (const [large, least] of [
+    ['.result', 26],
+    ['.figure-main .figure-value', 40],
+    ['.figure-force .figure-value', 30],
+  ]) {
+    const size = await page.locator(large).evaluate((one) => Number.parseFloat(getComputedStyle(one).fontSize));
+    assert.ok(size >= least, `${large}: ${size}`);
+  }
+  // A value stands once.
+  assert.doesNotMatch(await text(page, '.result'), /mm/);
+  assert.equal(await page.locator('.jaws .dimension text').count(), 0);
   await page.click('#release:enabled');
   await page.waitForSelector('.last[data-outcome=SUCCESS]:has-text("Release")');
   await page.waitForFunction(() => !document.querySelector('.result'));
@@ -115,7 +126,7 @@ test('a failed grip has no tick, and says where the fingers stopped', async () =
   await page.click('#stop-soft');
   await page.waitForSelector('.result[data-result=ABORTED]:has-text("stopped at")');
   const { width_mm } = await state(served);
-  const [, shown] = /Grip: aborted\s+stopped at (\d+\.\d) mm/.exec(await text(page, '.result'));
+  const [, shown] = /Grip: aborted\s+stopped at (\d+\.\d+) mm/.exec(await text(page, '.result'));
   // The fingers still move a little after the command has ended.
   assert.ok(Math.abs(Number(shown) - width_mm) < 1, `${shown} is not ${width_mm}`);
   assertClean(visitor);
@@ -130,6 +141,8 @@ test('an error that lasts until the next motion is explained', async () => {
   await page.click('#acknowledge:enabled');
   await page.waitForSelector('.result[data-result=ERROR]:has-text("Error until the next motion")');
   await page.waitForSelector('.result:has-text("the gripper accepts motions")');
+  // The bar is calm too: nothing is left to do.
+  await page.waitForSelector('.status:not([class*=tone]):has-text("Acknow")');
   await page.click('#home:enabled');
   await page.waitForSelector('.last[data-outcome=SUCCESS]');
   await page.waitForFunction(() => !document.querySelector('.result'));
@@ -142,75 +155,94 @@ test('notices are shown in every view', async () => {
   await named(anna.page, 'Anna');
   await named(ben.page, 'Ben');
   await controlled(anna.page);
-  const asks = () => ben.page.click('.take button:has-text("Ask for control")');
-  await asks();
+  await ben.page.click('.take button:has-text("Ask for control")');
   for (const view of ['history', 'log', 'device', 'all', 'operate']) {
     await anna.page.click(`[data-view=${view}]`);
     await anna.page.waitForSelector('[data-notice=asked]:has-text("Ben is asking for control of left")');
   }
   await shoot(anna.page, 'notice-asked');
-  await anna.page.click('[data-notice=asked] button:has-text("Not now")');
+  await anna.page.click('.strip:not([data-fresh]) [data-notice=asked] [aria-label^="Not now"]');
   await anna.page.waitForFunction(() => !document.querySelector('[data-notice=asked]'));
-  assert.ok(await anna.page.locator('.control-panel button:has-text("Hand over to Ben")').isVisible());
+  assert.ok(await anna.page.locator('.take [aria-label^="Hand over to Ben"]').isVisible());
 
   await anna.page.click('[data-view=history]');
   await ben.page.click('#force-control');
-  await ben.page.click('#force-sure');
+  await ben.page.click('#force-control-sure');
   await ben.page.waitForSelector('.status.tone-mine');
   await anna.page.waitForSelector('[data-notice=lost]:has-text("Ben took control of left from you by force")');
-  await anna.page.click('[data-notice=lost] button');
-  await anna.page.waitForFunction(() => !document.querySelector('.notice'));
+  await anna.page.waitForSelector('.strip[data-fresh]', { state: 'detached' });
+  await anna.page.click('[data-notice=lost] .notice-close');
+  await anna.page.waitForFunction(() => !document.querySelector('[data-notice=lost]'));
 
   // A refusal follows the user to another view.
   await ben.page.evaluate("ask(find('left'), 'grip', { width_mm: 20, speed_mm_s: 50 })");
   await ben.page.click('[data-view=history]');
   await ben.page.waitForSelector('[data-notice=problem]:has-text("not referenced")');
-  await ben.page.click('[data-notice=problem] button');
-  await ben.page.waitForFunction(() => !document.querySelector('.notice'));
+  await ben.page.waitForSelector('.strip[data-fresh]', { state: 'detached' });
+  await ben.page.click('[data-notice=problem] .notice-close');
+  await ben.page.waitForFunction(() => !document.querySelector('[data-notice=problem]'));
   [anna, ben].forEach(assertClean);
 });
 
-test('a tap just after a notice has moved the page does not move the fingers', async () => {
+test('a tap on a notice that has just appeared does nothing', async () => {
   const served = await gateway();
-  await served.ask('PUT', 'recipes/ring', { number: 3, width_mm: 20, speed_mm_s: 200, release_width_mm: 40 });
   const visitor = await visit(launched, served);
   const { page } = visitor;
   await homed(page);
-  await page.waitForSelector('.recipe [data-act="command.grip"]:enabled');
-  /** Lets Grip, here and of a recipe, be tapped as soon as a notice moves it, or a while later. */
-  const tapOnMove = (waitMs) =>
-    page.evaluate((wait) => {
-      const grips = ['#grip', '.recipe [data-act="command.grip"]'].map((grip) => document.querySelector(grip));
-      const { top } = grips[0].getBoundingClientRect();
-      window.tapped = new Promise((resolve) => {
-        const look = () => {
-          if (grips[0].getBoundingClientRect().top === top) {
-            requestAnimationFrame(look);
-            return;
-          }
-          setTimeout(() => {
-            const more = { detail: 1, bubbles: true, cancelable: true };
-            const tap = (grip) => {
-              grip.dispatchEvent(new PointerEvent('pointerdown', more));
-              return grip.dispatchEvent(new MouseEvent('click', more));
-            };
-            resolve(grips.map(tap));
-          }, wait);
-        };
-        look();
-      });
-    }, waitMs);
-  await page.evaluate(() => scrollTo(0, 0));
-  await tapOnMove(0);
+  /** Taps a button as soon as it is there, or a while later. */
+  const tapWhenShown = (selector, waitMs) =>
+    page.evaluate(
+      ([wanted, wait]) => {
+        window.tapped = new Promise((resolve) => {
+          const look = () => {
+            const button = document.querySelector(wanted);
+            if (!button) {
+              requestAnimationFrame(look);
+              return;
+            }
+            setTimeout(() => {
+              const { left, top } = button.getBoundingClientRect();
+              const more = { detail: 1, bubbles: true, cancelable: true, clientX: left + 5, clientY: top + 5 };
+              resolve(button.dispatchEvent(new MouseEvent('click', more)));
+            }, wait);
+          };
+          look();
+        });
+      },
+      [selector, waitMs],
+    );
+  await tapWhenShown('#hand-over', 0);
   await served.ask('POST', 'grippers/left/lease', { holder: 'Ben', request: true });
-  assert.deepEqual(await page.evaluate('tapped'), [false, false], 'the taps are dropped');
-  await tapOnMove(400);
-  await page.click('[data-notice=asked] button:has-text("Not now")');
-  assert.equal((await page.evaluate('tapped'))[0], true);
-  await page.waitForSelector('.last[data-outcome=PART_HELD]');
-  const { events } = await served.ask('GET', 'events?kind=command');
-  assert.equal(events.filter(({ command, phase }) => command === 'grip' && phase === 'admitted').length, 1);
+  assert.equal(await page.evaluate('tapped'), false, 'the tap is dropped');
+  assert.equal((await served.ask('GET', 'grippers/left/state')).lease_holder, await page.inputValue('#my-name'));
+  await tapWhenShown('#hand-over', 700);
+  assert.equal(await page.evaluate('tapped'), true);
+  await until('Ben has control', async () => (await served.ask('GET', 'grippers/left/state')).lease_holder === 'Ben');
   assertClean(visitor);
+});
+
+test('the second click of a double click presses nothing else', async () => {
+  const served = await gateway();
+  const [anna, ben] = [await visit(launched, served), await visit(launched, served)];
+  let takes = 0;
+  anna.page.on('websocket', (socket) =>
+    socket.on('framesent', ({ payload }) => {
+      if (String(payload).includes('"lease.take"')) takes += 1;
+    }),
+  );
+  await anna.page.reload();
+  await anna.page.waitForSelector('#take-control');
+  await anna.page.dblclick('#take-control');
+  await anna.page.waitForSelector('.status.tone-mine');
+  // The button to give up control is at the same place.
+  await anna.page.waitForSelector('html:not([data-pressed])');
+  assert.ok(await anna.page.isVisible('.status.tone-mine'));
+  assert.equal(takes, 1);
+  await ben.page.waitForSelector('#force-control');
+  await ben.page.dblclick('#force-control');
+  await ben.page.waitForSelector('#force-control-sure');
+  assert.ok(await anna.page.isVisible('.status.tone-mine'), 'force asks for confirmation');
+  [anna, ben].forEach(assertClean);
 });
 
 test('a reserved gripper is never shown as free, and its lost holder is an alarm', async () => {
@@ -229,11 +261,12 @@ test('a reserved gripper is never shown as free, and its lost holder is an alarm
   await shoot(page, 'reserved');
   await page.click('[data-view=all]');
   await page.waitForSelector('.tile:has-text("reserved: Anna")');
+  await page.waitForSelector('.strip[data-fresh]', { state: 'detached' });
   await page.click('#notice-force-control');
   assert.equal((await served.ask('GET', 'grippers/left/lease')).held, false, 'force asks for confirmation');
-  await page.click('#notice-force-sure');
+  await page.click('#notice-force-control-sure');
   await page.waitForSelector('.status.tone-mine');
-  await page.waitForFunction(() => !document.querySelector('.notice'));
+  await page.waitForFunction(() => !document.querySelector('[data-notice=reserved]'));
   await page.click('[data-view=operate]');
   await page.waitForSelector('.alarm:has-text("cleared")');
   assertClean(ben);

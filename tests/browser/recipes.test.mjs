@@ -28,7 +28,7 @@ test('a recipe of one browser is a single tap in another', async () => {
   const row = ben.page.locator('.recipe[data-recipe="12"]');
   await row.locator('[data-act="command.grip"]:enabled').click();
   await ben.page.waitForSelector('.result[data-result=HOLDING]:has-text("Part held")');
-  await row.locator('[data-act="command.release"]:enabled').click();
+  await ben.page.click('#release:enabled');
   await ben.page.waitForSelector('.last[data-outcome=SUCCESS]:has-text("Release")');
   const width = async () => (await served.ask('GET', 'grippers/left/state')).width_mm;
   await until('the fingers are open', async () => Math.abs((await width()) - 40) < 0.5);
@@ -49,12 +49,12 @@ test('a recipe of one browser is a single tap in another', async () => {
   assert.equal(await ben.page.getAttribute('.result', 'data-result'), 'WRONG_PART');
   const cleo = await visit(launched, served);
   await cleo.page.waitForSelector('.result[data-result=WRONG_PART]:has-text("contact at")');
-  await row.locator('[data-act="command.release"]:enabled').click();
+  await ben.page.click('#release:enabled');
   await ben.page.waitForFunction(() => !document.querySelector('.result'));
 
   await anna.page.click('.recipe[data-recipe="12"] [data-act="recipe.edit"]');
   await anna.page.click('#recipe-remove');
-  await anna.page.click('#recipe-remove:has-text("for everyone")');
+  await anna.page.click('#recipe-remove-sure:has-text("for everyone")');
   await row.waitFor({ state: 'detached' });
   await anna.page.click('[data-view=history]');
   await anna.page.click('[data-choice=records-events]');
@@ -90,7 +90,11 @@ test('limits are proposed from grips, and a change in between is not overwritten
   await page.click('#recipe-save');
   await page.waitForSelector('.recipe-form .problem:has-text("Someone else has changed this recipe")');
   assert.equal((await served.ask('GET', 'recipes/ring')).accept_max_mm, 26);
-  // The form of the new version replaces the old one, so that a second Save does not overwrite it either.
+  // A second Save does not overwrite it either.
+  await page.click('#recipe-save');
+  await page.waitForSelector('.recipe-form .problem:has-text("Someone else has changed this recipe")');
+  assert.equal((await served.ask('GET', 'recipes/ring')).accept_max_mm, 26);
+  await page.click('.recipe-form button:has-text("Cancel")');
   await page.waitForSelector('.recipe[data-recipe="3"]:has-text("26 mm")');
   await page.click('.recipe[data-recipe="3"] [data-act="recipe.edit"]');
   assert.equal(await page.inputValue('#recipe-accept_max_mm'), '26');
@@ -101,7 +105,7 @@ test('limits are proposed from grips, and a change in between is not overwritten
   await page.click('.recipe[data-recipe="3"] [data-act="recipe.edit"]');
   await fill(page, { description: 'ring' });
   await page.click('#recipe-save');
-  await page.waitForSelector('.recipe[data-recipe="3"]:has-text("· ring")');
+  await page.waitForSelector('.recipe[data-recipe="3"] .tile-more:has-text("ring")');
   const { description, accept_max_mm: limit } = await served.ask('GET', 'recipes/ring');
   assert.deepEqual([description, limit], ['ring', 26.125]);
   assertClean(visitor);

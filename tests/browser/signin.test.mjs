@@ -6,16 +6,19 @@ import { tmpdir } from 'node:os';
 import { join } from 'node:path';
 import { test } from 'node:test';
 
-import { browser, confirmed, gateway, started, token, until, visit } from './harness.mjs';
+import { faults, violations } from './checks.mjs';
+import { browser, confirmed, gateway, shoot, started, token, until, visit } from './harness.mjs';
 
 const launched = await browser();
 
-async function guarded() {
+/** Starts a gateway whose clients need credentials. `fastStop` says who may trigger a FAST STOP: anyone by default. */
+async function guarded({ fastStop = 'anyone' } = {}) {
   const directory = mkdtempSync(join(tmpdir(), 'wsg-signin-'));
   started.push(async () => rmSync(directory, { recursive: true }));
   const file = join(directory, 'tokens.json');
   const [operator, observer] = ['operator', 'observer'].map((role) => token(file, `anna-${role}`, role));
-  const served = await gateway({ more: ['--tokens', file], secret: operator });
+  const toml = `[access]\ntokens = ${JSON.stringify(file)}\nfast_stop = "${fastStop}"\n`;
+  const served = await gateway({ toml, secret: operator });
   return { served, operator, observer, file };
 }
 
@@ -44,13 +47,58 @@ test('a stranger can only stop and sign in, and an operator operates', async () 
   await page.waitForSelector('.sign-in');
 });
 
+test('where a FAST STOP needs a credential, a stranger sees that STOP is not there', async () => {
+  const { served, operator } = await guarded({ fastStop: 'credential' });
+  for (const [width, locale, text] of [
+    [1024, 'en-GB', /No STOP before you sign in/],
+    [1024, 'de-DE', /Kein STOPP ohne Anmeldung/],
+    [320, 'de-DE', /Kein STOPP ohne Anmeldung/],
+  ]) {
+    const { page } = await visit(launched, served, { width, locale });
+    await page.waitForSelector('.sign-in');
+    assert.match(await page.locator('#no-stop').innerText(), text);
+    await page.keyboard.press('Escape');
+    await page.waitForSelector('.stopped.tone-critical');
+    assert.equal(await page.locator('#stop').count(), 0);
+    assert.deepEqual([...(await faults(page)), ...(await violations(page))], []);
+    await shoot(page, `no-stop-${width}-${locale}`);
+    await signIn(page, operator);
+    await page.waitForSelector('.jaws');
+    await confirmed(page, '#stop', '.stopped p:text-matches("FAST STOP (confirmed|bestätigt)")');
+    await page.context().close();
+  }
+});
+
+test('a page whose user has to sign in asks nothing by itself', async () => {
+  const { served, operator } = await guarded();
+  const { page, context } = await visit(launched, served, { path: '/docs' });
+  await page.clock.install();
+  await page.goto(served.url);
+  await page.waitForSelector('.sign-in');
+  const refused = async () => (await served.ask('GET', 'events?kind=refused')).events.length;
+  await until('the refusals of the first requests are recorded', async () => (await refused()) >= 2);
+  const asked = [];
+  page.on('request', (request) => asked.push(request.url()));
+  page.on('websocket', (socket) => asked.push(socket.url()));
+  // An hour in one go.
+  await page.clock.runFor('01:00:00');
+  assert.deepEqual(asked, []);
+  // The user signs in on another page, and comes back.
+  const other = await context.newPage();
+  await other.goto(served.url);
+  await signIn(other, operator);
+  await other.waitForSelector('.jaws');
+  await page.evaluate(() => document.dispatchEvent(new Event('visibilitychange')));
+  await page.waitForSelector('.jaws');
+});
+
 test('an observer sees the gripper and no way to move it', async () => {
   const { served, observer } = await guarded();
   const { page } = await visit(launched, served, {});
   await signIn(page, observer);
   await page.waitForSelector('.jaws');
-  // The flags come after the controls, which are shown until the rights are known.
-  await page.waitForSelector('.flags');
+  // The alarms come after the controls, which are shown until the rights are known.
+  await page.waitForSelector('.alarms-panel');
   await page.waitForSelector('.signed-in');
   assert.equal(await page.locator('#take-control, #home, #grip').count(), 0);
 });

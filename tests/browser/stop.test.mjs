@@ -180,13 +180,17 @@ test('FAST STOP of one gripper shows whether it is confirmed, and that it failed
   await page.waitForSelector('.stopped:has-text("not yet confirmed by left")');
   await page.click('.chip:has-text("right")');
   await page.click('#stop-one:has-text("right")');
-  await page.waitForSelector('.stopped:has-text("FAST STOP confirmed (right).")');
-  const unconfirmed = page.locator('.stopped:has-text("not yet confirmed by left")');
+  // Results that are not as wanted come first; the others are in the list.
+  const unconfirmed = page.locator('.strip > .stopped:has-text("not yet confirmed by left")');
   assert.equal(await unconfirmed.count(), 1);
+  const results = page.locator('.strip-list .stopped');
+  await page.click('#notices-more');
+  await results.filter({ hasText: 'FAST STOP confirmed (right).' }).waitFor();
 
   // The result for all grippers includes each of them, until one has its own.
   await page.keyboard.press('Escape');
-  await page.waitForFunction(() => document.querySelectorAll('.stopped').length === 1);
+  await until('one result is left', async () => (await results.count()) === 1);
+  await page.click('#notices-more');
   await unconfirmed.waitFor();
   device.child.kill('SIGCONT');
   await page.waitForSelector('.stopped:has-text("FAST STOP confirmed (this gateway: 2).")');
@@ -203,5 +207,5 @@ test('FAST STOP of one gripper shows whether it is confirmed, and that it failed
   await page.click('#stop-one');
   await page.waitForSelector('.stopped:has-text("right: FAST STOP did not get through")');
   await page.keyboard.press('Escape');
-  await page.waitForSelector('.stopped:text-matches("^FAST STOP did not get through")');
+  await page.waitForSelector('.stopped p:text-matches("^FAST STOP did not get through")');
 });

@@ -18,9 +18,9 @@ test('control is requested, handed over and taken back by force', async () => {
   await ben.page.click('#ask-control');
   await anna.page.waitForSelector('[data-notice=asked]:has-text("Ben is asking for control")');
   await shoot(anna.page, 'asked', { fullPage: true });
-  await anna.page.click('#hand-over');
-  await ben.page.waitForSelector('.control-panel:has-text("You have control as Ben")');
-  await anna.page.waitForSelector('.control-panel:has-text("Ben has control")');
+  await anna.page.click('.strip:not([data-fresh]) #hand-over');
+  await ben.page.waitForSelector('.take:has-text("You have control as Ben")');
+  await anna.page.waitForSelector('.take:has-text("Ben has control")');
   await ben.page.click('#home:enabled');
   await until('Ben moves the fingers', async () => {
     const { events } = await served.ask('GET', 'events?kind=command');
@@ -29,9 +29,9 @@ test('control is requested, handed over and taken back by force', async () => {
   await anna.page.waitForSelector('.last:has-text("Home")');
 
   await anna.page.click('#force-control');
-  await anna.page.click('#force-sure');
-  await anna.page.waitForSelector('.control-panel:has-text("You have control as Anna")');
-  await ben.page.waitForSelector('.control-panel:has-text("Anna has control")');
+  await anna.page.click('#force-control-sure');
+  await anna.page.waitForSelector('.take:has-text("You have control as Anna")');
+  await ben.page.waitForSelector('.take:has-text("Anna has control")');
   const events = await until('all changes are recorded', async () => {
     const { events: known } = await served.ask('GET', 'events?kind=lease&order=oldest');
     return known.length >= 4 && known;
@@ -52,9 +52,15 @@ test('control is requested, handed over and taken back by force', async () => {
 
 test('people are asked for their names, which others see', async () => {
   const served = await gateway();
-  const [anna, ben] = [await visit(launched, served), await visit(launched, served)];
+  const [anna, ben] = [await visit(launched, served, { name: null }), await visit(launched, served)];
+  await anna.page.waitForSelector('#take-control');
+  assert.equal(await anna.page.inputValue('#my-name'), '');
+  await anna.page.click('#take-control');
+  // A click into the field takes nothing.
+  await anna.page.click('#your-name');
+  assert.equal((await served.ask('GET', 'grippers/left/state')).lease_holder, null);
   await anna.page.fill('#your-name', 'Anna');
-  await anna.page.click('.take button.primary');
+  await anna.page.click('#your-name-set');
   await ben.page.waitForSelector('.status:has-text("Anna")');
   await anna.page.click('#stop');
   await anna.page.waitForSelector('#latch-by:has-text("Anna (127.0.0.1), this browser")');
@@ -70,7 +76,7 @@ test('people are asked for their names, which others see', async () => {
   await anna.page.click('#give-back');
   await anna.page.waitForSelector('#take-control');
   await anna.page.reload();
-  await anna.page.waitForSelector('.take');
+  await controlled(anna.page);
   assert.equal(await anna.page.locator('#your-name').count(), 0);
   [anna, ben].forEach(assertClean);
 });
@@ -92,8 +98,8 @@ test('each request carries the user’s name, for all to see', async () => {
   await anna.page.fill(acceleration, '1600');
   await anna.page.locator(`form:has(${acceleration}) button[type=submit]`).click();
   await anna.page.waitForSelector('.settings-panel:has-text("Applied.")');
-  await anna.page.click('[data-view=operate]');
   await anna.page.waitForSelector(`.others li:has-text("${who}, this browser")`);
+  await ben.page.click('[data-view=device]');
   await ben.page.waitForSelector(`.others li:has-text("${who}")`);
   assert.doesNotMatch(await ben.page.locator('.others').innerText(), /this browser/);
   await ben.page.click('[data-view=history]');

@@ -6,10 +6,9 @@ import { test } from 'node:test';
 import { ASSETS } from './harness.mjs';
 
 const core = (name) => import(`${ASSETS}core/${name}.js`);
-const view = (name) => import(`${ASSETS}views/${name}.js`);
-const { checksum, encode, fromHex, parts, toHex } = await view('frame');
-const { interpretations, parse, parseId } = await view('bytes');
-const { sentence } = await view('sentence');
+const { checksum, encode, fromHex, parts, toHex } = await core('frame');
+const { interpretations, parse, parseId } = await core('bytes_text');
+const { details, sentence } = await core('sentence');
 const { Samples } = await core('ring');
 const { asTyped, forceLimits, mistake, number, readings, speedLimits, typedFrom, widthLimits } = await core('limits');
 const { acknowledged, noGateway, sorted } = await core('alarms');
@@ -19,7 +18,25 @@ const { decimals } = await core('decimals');
 const { delay } = await core('backoff');
 const { bytesOf, cut } = await core('bytes');
 const { numbered, ordered } = await core('newest');
+const { spreadsheetTable } = await core('csv');
 const { lacksFlags, namesIn, whyUnknown, withNames } = await core('values');
+
+test('a table has the separator and the decimal sign of its language', () => {
+  const table = `seq,part_id,width_mm,force_n,version,detail
+1,4711.2,20.5,-3.25,0.2.0,"a ""b"", c"
+2,x;y,,40,,"two
+lines"
+`;
+  assert.equal(spreadsheetTable(table, 'en'), `\uFEFF${table}`);
+  assert.equal(
+    spreadsheetTable(table, 'de'),
+    `\uFEFFseq;part_id;width_mm;force_n;version;detail
+1;4711.2;20,5;-3,25;0.2.0;"a ""b"", c"
+2;"x;y";;40;;"two
+lines"
+`,
+  );
+});
 
 test('frames and checksums match the manuals', () => {
   const vectors = [
@@ -76,7 +93,7 @@ test('the editor accepts bytes, floats and texts, and names errors', () => {
 });
 
 test('a form and its text have the same bytes', async () => {
-  const { compose, fieldsOf, idText, MANUAL, valuesOf } = await view('manual');
+  const { compose, fieldsOf, idText, MANUAL, valuesOf } = await core('manual');
   for (const [id, values, hex] of [
     [0x25, ['20', '50,5'], '0000a04100004a42'],
     [0x21, ['3', '-1.5', '50'], '030000c0bf00004842'],
@@ -266,7 +283,7 @@ test('unacknowledged alarms come first, then active ones, by priority and age', 
 });
 
 test('numbers per part have mean, spread and trend', async () => {
-  const { perPart, summary } = await view('statistics');
+  const { perPart, summary } = await core('statistics');
   assert.deepEqual(summary([4, 2, null, 3]), { mean: 3, spread: 1, trend: 1 });
   assert.deepEqual(summary([5]), { mean: 5, spread: null, trend: null });
   assert.deepEqual(summary([]), { mean: null, spread: null, trend: null });
@@ -293,12 +310,12 @@ test('numbers per part have mean, spread and trend', async () => {
 });
 
 test('moving averages begin with the oldest value', async () => {
-  const { averages } = await view('statistics');
+  const { averages } = await core('statistics');
   assert.deepEqual(averages([20, 21, 20]), [20, 20.2, 20.16]);
 });
 
 test('a histogram covers all values', async () => {
-  const { histogram } = await view('statistics');
+  const { histogram } = await core('statistics');
   assert.deepEqual(histogram([1, 2, 2, 5]), [
     { from: 1, to: 3, count: 3 },
     { from: 3, to: 5, count: 1 },
@@ -368,6 +385,19 @@ test('events name the values that are unknown, and known again', () => {
   const of = (event) => sentence({ kind: 'device', event, values: ['width_mm'], cause: 'silent' });
   assert.deepEqual([of('values_unknown').key, of('values_known').key], ['event.values_unknown', 'event.values_known']);
   assert.deepEqual([of('values_unknown').values, of('values_unknown').with.cause], [['width_mm'], 'silent']);
+});
+
+test('changed settings are sentences with their values', () => {
+  const of = (event) => sentence({ kind: 'settings', restored: false, ...event });
+  const limit = { setting: 'force_limit', force_n: 30 };
+  assert.deepEqual(
+    [of(limit).key, of({ ...limit, restored: true }).key],
+    ['event.setting_changed', 'event.setting_restored'],
+  );
+  assert.deepEqual([of(limit).fields, details({ kind: 'settings', ...limit })], [['force_n'], []]);
+  assert.deepEqual(of({ setting: 'soft_limits', minus_mm: 10, plus_mm: 90 }).fields, ['minus_mm', 'plus_mm']);
+  assert.equal(of({ setting: 'overdrive', enabled: false }).key, 'event.setting_off');
+  assert.deepEqual(of({ setting: 'tare' }), { key: null, of: { setting: 'setting.tare' } });
 });
 
 test('a gap of one column remains beside known ones, however short', () => {

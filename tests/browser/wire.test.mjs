@@ -109,6 +109,8 @@ test('frames are filtered, copied and saved, and a pause is marked', async () =>
   await page.click('#pause-log');
   await loop(served);
   await page.waitForSelector('[data-row=paused]:has-text("left out while paused")');
+  // The second click of a double click does not resume.
+  await page.waitForSelector('html:not([data-pressed])');
   await page.click('#pause-log');
   await exchanged(page, readStatistics, '[data-row=paused] ~ .frame:has-text("GetStatistics")');
   await shoot(page, 'log-paused');

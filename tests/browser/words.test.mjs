@@ -87,9 +87,18 @@ test('every value of the API has a text', () => {
     'method_not_allowed',
     'request_timeout',
     'too_large',
+    'unsupported_encoding',
     'request_id_reused',
   ];
+  const valuesOf = (family, name, field) => {
+    const values = schemas[name].properties[field].enum;
+    assert.ok(values.length > 1, name);
+    return values.map((value) => `${family}.${value}`);
+  };
   const needed = [
+    ...valuesOf('event', 'GatewayEvent', 'event'),
+    ...valuesOf('event', 'DeviceEvent', 'event'),
+    ...valuesOf('setting', 'SettingsEvent', 'setting'),
     ...words('problem', 'Code').filter((key) => !noneOfOurs.includes(key.slice('problem.'.length))),
     ...words('outcome', 'Outcome'),
     ...words('command', 'Kind'),

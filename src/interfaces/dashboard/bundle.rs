@@ -4,8 +4,9 @@
 //! import needs no code. That needs a unique name for each export. Libraries are minified in another style: each
 //! becomes an object of its exports.
 //!
-//! The first script is a classic one, whose variables are global. The second one is a module: the page imports it after
-//! the first screen, and it uses those variables.
+//! The first script is a classic one, whose variables are global. The others are modules, which use those variables: the
+//! page imports the second one after the first screen, and the third one with the first view that needs it. The third
+//! script imports the variables of the second.
 
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
@@ -19,6 +20,8 @@ pub(super) struct Bundle {
     /// Modules that this script or an earlier one has.
     joined: BTreeSet<String>,
     script: String,
+    /// Variables that this script declares: the exports of its modules.
+    variables: Vec<String>,
     /// Names that the entry re-exports from other modules.
     reexports: Vec<String>,
 }
@@ -43,11 +46,24 @@ impl Bundle {
         bundle
     }
 
-    /// Joins a module, and its imports that this script lacks, into a script that exports what the module passes on.
-    pub(super) fn second(&self, read: Read, entry: &str) -> Self {
-        let mut bundle = Self { joined: self.joined.clone(), ..Self::default() };
+    /// Joins a module, and its imports that this script lacks, into a module script that exports all its variables.
+    pub(super) fn module(&self, read: Read, entry: &str) -> Self {
+        self.next(read, entry, String::new())
+    }
+
+    /// Like `module`, for a script that follows this module script, whose file is `file`.
+    pub(super) fn module_after(&self, read: Read, entry: &str, file: &str) -> Self {
+        self.next(read, entry, format!("import {{ {} }} from './{file}';\n", self.variables.join(", ")))
+    }
+
+    fn next(&self, read: Read, entry: &str, script: String) -> Self {
+        let mut bundle = Self { joined: self.joined.clone(), script, ..Self::default() };
         bundle.join(read, entry);
-        let _ = writeln!(bundle.script, "export {{ {} }};", bundle.reexports.join(", "));
+        let mut names: BTreeSet<_> = bundle.variables.iter().collect();
+        names.extend(&bundle.reexports);
+        let names: Vec<_> = names.into_iter().map(String::as_str).collect();
+        let exports = format!("export {{ {} }};\n", names.join(", "));
+        bundle.script.push_str(&exports);
         bundle
     }
 
@@ -74,6 +90,7 @@ impl Bundle {
         }
         if !module.exports.is_empty() {
             let _ = writeln!(self.script, "let {};", module.exports.join(", "));
+            self.variables.extend(module.exports);
         }
         let _ = write!(self.script, "{{\n{}}}\n", module.block);
         self.reexports = module.reexports;

@@ -1,6 +1,6 @@
 //! The dashboard: a page embedded in the program, which uses only the public WebSocket and REST interfaces.
 //!
-//! There is no build step: when a browser first loads the page, the gateway joins the modules into two scripts and the
+//! There is no build step: when a browser first loads the page, the gateway joins the modules into three scripts and the
 //! styles into one, and compresses them. Their paths contain a hash of all assets, so that a browser caches them until
 //! one changes, and asks only for the page. The content security policy allows no other origin, and no inline script or
 //! style.
@@ -16,8 +16,8 @@ use axum::body::Body;
 use axum::extract::Path;
 use axum::http::header::InvalidHeaderValue;
 use axum::http::header::{
-    ACCEPT_ENCODING, CACHE_CONTROL, CONTENT_ENCODING, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderMap, HeaderValue,
-    VARY,
+    ACCEPT_ENCODING, ALLOW, CACHE_CONTROL, CONTENT_ENCODING, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderMap,
+    HeaderValue, VARY,
 };
 use axum::http::{HeaderName, StatusCode};
 use axum::response::{IntoResponse, Response};
@@ -40,9 +40,11 @@ struct Assets;
 /// The page. `{version}` in it stands for the hash of the assets.
 const PAGE: &str = "index.html";
 
-/// Module that the first screen needs, and module that the page imports after it.
+/// Module that the first screen needs, module that the page imports after it, and module of the views that are opened
+/// less often.
 const FIRST: &str = "app.js";
 const SECOND: &str = "later.js";
+const THIRD: &str = "views.js";
 
 /// Style sheets, in order.
 const STYLES: [&str; 5] =
@@ -127,10 +129,11 @@ fn compressed(plain: &[u8]) -> Option<Bytes> {
 fn joined() -> BTreeMap<&'static str, Content> {
     let read = |path: &str| text(path);
     let first = Bundle::first(&read, FIRST);
-    let second = first.second(&read, SECOND);
+    let second = first.module(&read, SECOND);
+    let third = second.module_after(&read, THIRD, SECOND);
     let script = |bundle: &Bundle| Content::new("text/javascript; charset=utf-8", bundle.script().to_owned());
     let style = Content::new("text/css; charset=utf-8", STYLES.map(text).concat());
-    BTreeMap::from([(FIRST, script(&first)), (SECOND, script(&second)), ("style.css", style)])
+    BTreeMap::from([(FIRST, script(&first)), (SECOND, script(&second)), (THIRD, script(&third)), ("style.css", style)])
 }
 
 /// Returns the text of an asset; empty if the asset does not exist.
@@ -150,7 +153,9 @@ pub fn page<S: Clone + Send + Sync + 'static>() -> Router<S> {
             "/",
             routing::get(async move |policy: Extension<DashboardPolicy>, headers: HeaderMap| {
                 index(&page, &etag, &policy, &headers).await
-            }),
+            })
+            // HAProxy's default health check.
+            .options(async || (StatusCode::NO_CONTENT, [(ALLOW, HeaderValue::from_static("GET, HEAD, OPTIONS"))])),
         )
         .route("/favicon.ico", routing::get(async || asset("icon.svg", "no-cache")))
         .route(

@@ -5,14 +5,17 @@ import { LANGUAGES, language, t } from './model/i18n.js';
 import { mustSignIn, mayOperate, recognize } from './model/me.js';
 import { MAX_NAME_BYTES, myName, rename } from './model/name.js';
 import { theme } from './model/prefs.js';
-import { gripper, isLive, selected, view, VIEWS } from './model/store.js';
+import './model/feed.js';
+import './model/staying.js';
+import { shownGripper, isLive, selected, view, VIEWS } from './model/state.js';
 import { Bar, Picker } from './ui/bar.js';
 import { Jaws } from './ui/jaws.js';
 import { keepFocus } from './ui/focus.js';
+import { Obstacle } from './ui/obstacle.js';
 import { Choice, within } from './ui/parts.js';
 import { go, start } from './ui/route.js';
 import { SignedIn, SignIn } from './ui/signin.js';
-import { Results } from './ui/stop.js';
+import { Strip } from './ui/strip.js';
 
 function Views() {
   if (mustSignIn.value) return null;
@@ -32,7 +35,7 @@ const isMissing = signal(false);
 
 function Missing() {
   if (!isMissing.value) return null;
-  return html`<div class="newer missing"><p role="alert">${t('part.missing')}</p><button type="button"
+  return html`<div class="missing"><p role="alert">${t('part.missing')}</p><button type="button"
       onClick=${() => location.reload()}>${t('reload')}</button></div>`;
 }
 
@@ -44,22 +47,32 @@ async function fetchLater() {
   }
 }
 
-function Operate({ one }) {
-  const { Alarms, Charts, Control, Flags, Motion, Recipes } = later.value;
-  return html`<div class="operate">
-    <${Jaws} one=${one} />${Motion && mayOperate(one.name) && html`<${Motion} one=${one} />`}
-    ${Charts && html`<${Charts} one=${one} />`}
-    <div class="column-more">${Alarms && html`<${Alarms} />`}${
-      Control &&
-      mayOperate(one.name) &&
-      html`<${Control}
-        one=${one} />`
-    }${Recipes && mayOperate(one.name) && html`<${Recipes} one=${one} />`}${Flags && html`<${Flags} one=${one} />`}</div>
+/** Components of the other views, by name; empty until one of them is opened. */
+const others = signal({});
+
+async function fetchOthers() {
+  try {
+    others.value = await import('./views.js');
+  } catch {
+    isMissing.value = true;
+  }
+}
+
+function Operate({ gripper }) {
+  const { Alarms, Charts, Latch, Motion, Recipes, WhoControls } = later.value;
+  const isOperator = Motion && mayOperate(gripper.name);
+  const isLatched = gripper.latchId.value !== null;
+  return html`<div class=${`operate ${isOperator ? '' : 'watching'} ${isLatched ? 'latched' : ''}`}>
+    <${Jaws} gripper=${gripper} />
+    ${isOperator && html`<${WhoControls} gripper=${gripper} /><${Motion} gripper=${gripper} />`}
+    ${isOperator && isLatched && html`<${Latch} gripper=${gripper} />`}${isOperator && !isLatched && html`<${Recipes} gripper=${gripper} />`}
+    ${Charts && html`<${Charts} gripper=${gripper} />`}
+    ${Alarms && html`<${Alarms} />`}
   </div>`;
 }
 
 function viewOf(name) {
-  const { All, Device, History, Log } = later.value;
+  const { All, Device, History, Log } = others.value;
   return { operate: Operate, history: History, log: Log, device: Device, all: All }[name];
 }
 
@@ -68,22 +81,26 @@ const WIDGETS = { jaws: 'Jaws', charts: 'Charts', flags: 'Flags', alarms: 'Alarm
 
 const widget = WIDGETS[new URLSearchParams(location.search).get('view')];
 
-function Widget({ one }) {
-  const Shown = { Jaws, ...later.value }[widget];
-  return html`<main class="widget">${Shown && html`<${Shown} one=${one} />`}</main>`;
+function Widget({ gripper }) {
+  const Shown = { Jaws, ...later.value, ...others.value }[widget];
+  return html`<main class="widget">${Shown && html`<${Shown} gripper=${gripper} />`}</main>`;
 }
 
 function Main() {
-  const one = gripper.value;
-  const isKnown = one !== null || isLive.value;
+  const gripper = shownGripper.value;
+  const isKnown = gripper !== null || isLive.value;
   useEffect(() => {
     if (!isKnown) return;
     // The next frame shows the first screen. A hidden page gets no frames.
     if (document.hidden) fetchLater();
     else requestAnimationFrame(fetchLater);
   }, [isKnown]);
+  const needsOthers = view.value !== 'operate' || widget === 'Flags' || widget === 'All';
+  useEffect(() => {
+    if (needsOthers && later.value.Motion && !others.peek().All) fetchOthers();
+  }, [needsOthers, later.value]);
   if (mustSignIn.value) return html`<${SignIn} />`;
-  if (!one)
+  if (!gripper)
     return html`<main class="waiting"><p>${
       isLive.value && selected.value
         ? t('stale.not_served', {
@@ -91,10 +108,10 @@ function Main() {
           })
         : t('stale.connecting')
     }</p></main>`;
-  if (widget) return html`<${Widget} one=${one} />`;
+  if (widget) return html`<${Widget} gripper=${gripper} />`;
   const View = viewOf(view.value);
   if (!View) return html`<main class="waiting" />`;
-  return html`<main key=${view.value === 'all' ? 'all' : one.name}><${View} one=${one} /></main>`;
+  return html`<main key=${view.value === 'all' ? 'all' : gripper.name}><${View} gripper=${gripper} /></main>`;
 }
 
 /** Text in the field of the name before it is entered; null for none. Other changes of the page must not lose it. */
@@ -123,25 +140,25 @@ function Footer() {
           onChange=${(key) => {
             theme.value = key;
           }} options=${['auto', 'light', 'dark'].map((key) => [key, t(`theme.${key}`)])} />
-      <a href="/docs/guide" target="_blank" rel="noopener">${t('foot.guides')}</a>
-      <a href="/docs" target="_blank" rel="noopener">${t('foot.docs')}</a>
+      <a href="docs/guide/" target="_blank" rel="noopener">${t('foot.guides')}</a>
+      <a href="docs" target="_blank" rel="noopener">${t('foot.docs')}</a>
     </div>
   </footer>`;
 }
 
 function App() {
-  const { Announcer, Notices } = later.value;
+  const { Announcer } = later.value;
   // A key stops from here too.
-  if (widget) return html`<${Missing} /><${Main} /><${Results} />`;
+  if (widget) return html`<${Obstacle} /><${Missing} /><${Main} /><${Strip} />`;
   return html`<a class="skip" href="#main"
       onClick=${(event) => {
         event.preventDefault();
         document.querySelector('main button, main input')?.focus();
       }}>${t('nav.skip')}
         </a>
-    <${Bar} notices=${Notices} />
+    <${Bar} /><${Strip} />
     <div class="navigation"><${Picker} /><${Views} /></div>
-    <div id="main"><${Missing} /><${Main} /></div>
+    <div id="main"><${Obstacle} /><${Missing} /><${Main} /></div>
     <${Footer} />${Announcer && html`<${Announcer} />`}`;
 }
 

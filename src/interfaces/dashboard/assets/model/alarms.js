@@ -2,6 +2,7 @@
 
 import { computed, signal } from '../lib.js';
 import { acknowledged, noGateway } from '../core/alarms.js';
+import { gatewayNow } from '../core/clock.js';
 import { paced } from '../core/paced.js';
 
 /** Alarms of the gateway, as last received. */
@@ -17,7 +18,7 @@ export function takeAlarms({ alarms: all }) {
 
 /** Notes whether the gateway is gone. */
 export function noteGateway(isGone) {
-  ofPage.value = noGateway(ofPage.peek(), isGone, new Date().toISOString());
+  ofPage.value = noGateway(ofPage.peek(), isGone, new Date(gatewayNow()).toISOString());
 }
 
 /** Limit of the FAST STOPs that are acknowledged at the same time. */
@@ -43,7 +44,7 @@ export async function acknowledgeAlarms(rpc, chosen) {
     const ids = others.map(({ id }) => id);
     sent.push(rpc.call('alarms.acknowledge', { ids }).catch((problem) => refused.push({ alarm: others[0], problem })));
   }
-  if (chosen.includes(ofPage.peek())) ofPage.value = acknowledged(ofPage.peek(), new Date().toISOString());
+  if (chosen.includes(ofPage.peek())) ofPage.value = acknowledged(ofPage.peek(), new Date(gatewayNow()).toISOString());
   await Promise.all(sent);
   return refused;
 }

@@ -1,7 +1,8 @@
 // Requests for control, which the gateway keeps for a minute.
 
 import { terms } from './commands.js';
-import { learn, rpc } from './store.js';
+import { learn } from './reads.js';
+import { rpc } from './wire.js';
 
 const REPEATED_EVERY_MS = 20_000;
 
@@ -15,28 +16,28 @@ const KEPT_MS = 60_000;
 const lookedAt = new WeakMap();
 
 /** Repeats this page's request for control, without a word to the user: events report its result. */
-async function repeat(one) {
-  const take = one.asking('lease');
-  const asked = { ...terms(one.controlRequest.as), gripper: one.name, request: true };
+async function repeat(gripper) {
+  const take = gripper.asking('lease');
+  const asked = { ...terms(gripper.controlRequest.as), gripper: gripper.name, request: true };
   const lease = await rpc.call('lease.take', asked).catch(() => null);
   if (!lease?.token) return;
   take(lease);
-  one.own(lease);
+  gripper.own(lease);
 }
 
 /**
  * To be called with each state of a gripper. On a hidden page, states arrive every second, but timers can run only once
  * a minute.
  */
-export function keepAsking(one) {
+export function keepAsking(gripper) {
   const now = performance.now();
-  if (now - (lookedAt.get(one) ?? -Infinity) < REPEATED_EVERY_MS) return;
-  lookedAt.set(one, now);
-  const waited = now - (one.controlRequest?.at ?? -Infinity);
-  if (waited >= WAITS_MS) one.isControlRequested.value = false;
-  if (waited >= WAITS_MS + KEPT_MS) one.controlRequest = null;
+  if (now - (lookedAt.get(gripper) ?? -Infinity) < REPEATED_EVERY_MS) return;
+  lookedAt.set(gripper, now);
+  const waited = now - (gripper.controlRequest?.at ?? -Infinity);
+  if (waited >= WAITS_MS) gripper.isControlRequested.value = false;
+  if (waited >= WAITS_MS + KEPT_MS) gripper.controlRequest = null;
   // Without a holder, a request would take control at once, although the user may be away.
-  if (one.isControlRequested.peek() && one.newest.lease_holder !== null) repeat(one);
+  if (gripper.isControlRequested.peek() && gripper.newest.lease_holder !== null) repeat(gripper);
   // No event reports that another client's request has ended.
-  else if (one.lease.peek()?.requested_by) learn(one);
+  else if (gripper.lease.peek()?.requested_by) learn(gripper);
 }

@@ -1,6 +1,7 @@
 // One gripper, as the page knows it.
 
 import { batch, computed, signal } from '../lib.js';
+import { gatewayNow } from '../core/clock.js';
 import { Samples } from '../core/ring.js';
 import { has } from '../core/flags.js';
 import { ordered } from '../core/newest.js';
@@ -44,6 +45,8 @@ export class Gripper {
     this.target = signal(null);
     /** Newest command of any client, for the line below the controls. */
     this.command = signal(null);
+    /** Part of the newest grip, or null. */
+    this.part = signal(null);
     this.problem = signal(null);
     /** Lease that this page holds: `{token, epoch}`. */
     this.held = signal(null);
@@ -177,7 +180,7 @@ export class Gripper {
     if (state === null || state === this.state.peek()) return;
     this.state.value = state;
     if (state.link === 'connected') {
-      this.#liveAt = Date.now();
+      this.#liveAt = gatewayNow();
       this.lostAt.value = null;
     } else {
       this.lostAt.value ??= this.#liveAt;

@@ -1,6 +1,7 @@
 // The page's texts, in the user's language.
 
 import { computed, effect, signal } from '../lib.js';
+import { gatewayNow } from '../core/clock.js';
 import { fill, placeholders } from '../core/words.js';
 import { kept } from './prefs.js';
 import { de } from '../locales/de.js';
@@ -27,9 +28,17 @@ effect(() => {
   document.documentElement.lang = language.value;
 });
 
-export function t(key, parameters) {
+/** Lets a name be broken after its separators: it has no spaces. */
+export const breakable = (name) => name.replaceAll('_', '_\u200b');
+
+export function t(key, parameters = {}) {
   const template = words.value[key];
-  return template === undefined ? key : fill(template, parameters);
+  if (template === undefined) return key;
+  const given = Object.entries(parameters).map(([name, value]) => [
+    name,
+    typeof value === 'string' ? breakable(value) : value,
+  ]);
+  return fill(template, Object.fromEntries(given));
 }
 
 const formats = computed(() => {
@@ -67,7 +76,7 @@ export const time = (at) => formats.value.time.format(new Date(at));
 /** Formats a time, with the date unless it is today. */
 export function moment(at) {
   const date = new Date(at);
-  const isToday = date.toDateString() === new Date().toDateString();
+  const isToday = date.toDateString() === new Date(gatewayNow()).toDateString();
   return (isToday ? formats.value.time : formats.value.date).format(date);
 }
 
@@ -83,9 +92,12 @@ export function span(ms) {
   return t('span.days', { count: Math.floor(seconds / 86400) });
 }
 
+/** The gateway quotes names of fields like code, which is not for people at a panel. */
+export const withoutTicks = (text) => text.replaceAll('`', '');
+
 /** Text of a problem: translated if its code and parameters are known, otherwise the gateway's own. */
 export function ofProblem(problem) {
   const template = words.value[`problem.${problem.code}`];
   const isWhole = template !== undefined && placeholders(template).every((name) => (problem[name] ?? '') !== '');
-  return isWhole ? fill(template, problem) : problem.detail || problem.title || problem.code;
+  return isWhole ? fill(template, problem) : withoutTicks(problem.detail || problem.title || problem.code);
 }

@@ -2,8 +2,9 @@
 // that it is still held. Meanwhile a timer of this page renews the lease, rather than its connection: a page that
 // hangs loses control within a second.
 
+import { newJogId } from '../core/jogs.js';
 import { changeTerms, move } from './commands.js';
-import { rpc } from './store.js';
+import { rpc } from './wire.js';
 import { onLossMoving } from './prefs.js';
 
 const LIVES_MS = 1000;
@@ -20,15 +21,15 @@ export class Jog {
   #settled = Promise.resolve();
 
   /** `limits` are the lowest and the highest allowed width. */
-  begin(one, direction, speed, limits) {
-    if (this.#press?.isHeld || !one.isMine.peek()) return;
-    const press = { isHeld: true, isUnanswered: false, command: null, epoch: one.held.peek().epoch };
+  begin(gripper, direction, speed, limits) {
+    if (this.#press?.isHeld || !gripper.isMine.peek()) return;
+    const press = { isHeld: true, isUnanswered: false, command: null, epoch: gripper.held.peek().epoch };
     press.over = new Promise((resolve) => {
       press.letGo = resolve;
     });
     this.#press = press;
     // One after the other: the end of a press must not affect the lease terms of the next one.
-    this.#settled = this.#settled.then(() => this.#hold(one, press, direction, speed, limits)).catch(() => {});
+    this.#settled = this.#settled.then(() => this.#hold(gripper, press, direction, speed, limits)).catch(() => {});
   }
 
   end() {
@@ -37,57 +38,61 @@ export class Jog {
     this.#press.letGo();
   }
 
-  async #hold(one, press, direction, speed, limits) {
+  async #hold(gripper, press, direction, speed, limits) {
     if (!press.isHeld) return;
     // A jog must stop if its page is lost, even if other motions are allowed to finish.
     const on_loss_moving = onLossMoving.peek() === 'finish' ? 'fast_stop' : onLossMoving.peek();
-    const lease = await changeTerms(one, { ttl_ms: LIVES_MS, on_loss_moving });
+    const lease = await changeTerms(gripper, { ttl_ms: LIVES_MS, on_loss_moving });
     const renewing = setInterval(() => {
-      const held = one.held.peek();
-      if (held) rpc.call('lease.renew', { gripper: one.name, lease: held.token }).catch(() => {});
+      const held = gripper.held.peek();
+      if (held) rpc.call('lease.renew', { gripper: gripper.name, lease: held.token }).catch(() => {});
     }, RENEWED_EVERY_MS);
     try {
       if (lease && press.isHeld)
-        begun(one, press, { width_mm: direction < 0 ? limits.min : limits.max, speed_mm_s: speed });
+        begun(gripper, press, {
+          width_mm: direction < 0 ? limits.min : limits.max,
+          speed_mm_s: speed,
+          request_id: newJogId(),
+        });
       await press.over;
-      await stopped(one, press);
+      await stopped(gripper, press);
     } finally {
       clearInterval(renewing);
     }
     // Control depends on the connection again.
-    if (isOurs(one, press)) await changeTerms(one);
+    if (isOurs(gripper, press)) await changeTerms(gripper);
   }
 }
 
 /** Starts the motion of a press. Its command id can arrive after the button was released. */
-async function begun(one, press, way) {
+async function begun(gripper, press, way) {
   press.isUnanswered = true;
-  const command = await move(one, 'move', way);
+  const command = await move(gripper, 'move', way);
   press.command = command?.id ?? null;
   press.isUnanswered = false;
 }
 
 /** Repeats the stop until the fingers stand. A motion without an answer can still begin. */
-async function stopped(one, press) {
+async function stopped(gripper, press) {
   for (let tries = 0; tries < MAX_STOPS; tries += press.isUnanswered ? 0 : 1) {
-    stop(one, press);
+    stop(gripper, press);
     await new Promise((resolve) => {
       setTimeout(resolve, STOPPED_EVERY_MS);
     });
-    if (!press.isUnanswered && isOver(one, press)) return;
+    if (!press.isUnanswered && isOver(gripper, press)) return;
   }
 }
 
 /** Whether the lease is still that of the press. Under any other lease, a motion is not that of the press. */
-function isOurs(one, { epoch }) {
-  return one.held.peek()?.epoch === epoch && one.newest?.lease_epoch === epoch;
+function isOurs(gripper, { epoch }) {
+  return gripper.held.peek()?.epoch === epoch && gripper.newest?.lease_epoch === epoch;
 }
 
-function isOver(one, press) {
-  const { moving, command } = one.newest;
-  if (!isOurs(one, press) && press.command === null) return true;
+function isOver(gripper, press) {
+  const { moving, command } = gripper.newest;
+  if (!isOurs(gripper, press) && press.command === null) return true;
   if (press.command !== null && command === press.command) return false;
-  return moving === false || (command !== null && !isOurs(one, press));
+  return moving === false || (command !== null && !isOurs(gripper, press));
 }
 
 /**
@@ -95,19 +100,19 @@ function isOver(one, press) {
  * while the fingers can still move (because the answer was lost), any motion is stopped, as long as this page believes
  * that it has control.
  */
-function stop(one, press) {
+function stop(gripper, press) {
   if (press.command === null) {
-    stopAll(one, press);
+    stopAll(gripper, press);
     return;
   }
   rpc
-    .call('cancel', { gripper: one.name, command: press.command })
+    .call('cancel', { gripper: gripper.name, command: press.command })
     .then(({ outcome }) => {
-      if (outcome && !ENDED_BY_ITSELF.includes(outcome)) stopAll(one, press);
+      if (outcome && !ENDED_BY_ITSELF.includes(outcome)) stopAll(gripper, press);
     })
     .catch(() => {});
 }
 
-function stopAll(one, press) {
-  if (isOurs(one, press)) rpc.call('stop', { gripper: one.name }).catch(() => {});
+function stopAll(gripper, press) {
+  if (isOurs(gripper, press)) rpc.call('stop', { gripper: gripper.name }).catch(() => {});
 }

@@ -31,9 +31,15 @@ let isFirst = true;
 
 /** Asks again, but not for the first connection: the page itself asks when it begins. */
 export function recognizeAgain() {
-  if (!isFirst) recognize();
+  // A page that is not signed in does not ask by itself: the gateway records each refusal.
+  if (!isFirst && !mustSignIn.peek()) recognize();
   isFirst = false;
 }
+
+// Meanwhile, the person can have signed in on another page of this browser.
+document.addEventListener('visibilitychange', () => {
+  if (!document.hidden && mustSignIn.peek()) recognize();
+});
 
 export async function signIn(token) {
   await send('session', { token });

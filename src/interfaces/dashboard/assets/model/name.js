@@ -3,6 +3,7 @@
 
 import { computed, effect, signal } from '../lib.js';
 import { cut } from '../core/bytes.js';
+import { me } from './me.js';
 import { kept } from './prefs.js';
 
 /** The gateway's limit of a holder's name. */
@@ -10,13 +11,8 @@ export const MAX_NAME_BYTES = 32;
 
 const SESSION = 'wsg.name';
 
-function newName() {
-  const random = crypto.getRandomValues(new Uint8Array(2));
-  return `browser-${Array.from(random, (byte) => byte.toString(16).padStart(2, '0')).join('')}`;
-}
-
 /** Name for tabs that are opened later. */
-const usual = kept('name', newName());
+const usual = kept('name', '');
 
 function ofThisTab() {
   try {
@@ -26,7 +22,14 @@ function ofThisTab() {
   }
 }
 
-export const myName = signal(ofThisTab() || usual.peek());
+/** Names that earlier versions of this page made up. */
+const isMadeUp = (name) => /^browser-[0-9a-f]{4}( \(\d+\))?$/.test(name);
+
+/** The person's name; empty until it was asked for. */
+export const myName = signal([ofThisTab(), usual.peek()].find((name) => name && !isMadeUp(name)) ?? '');
+
+/** Name under which this page takes control: the person's, or that of the credential. Empty without both. */
+export const holderName = computed(() => myName.value || (me.value?.name ?? ''));
 
 effect(() => {
   try {
@@ -44,8 +47,8 @@ export function rename(wanted) {
   myName.value = name;
 }
 
-/** Whether this browser still has its generated name. */
-export const isUnnamed = computed(() => /^browser-[0-9a-f]{4}( \(\d+\))?$/.test(myName.value));
+/** Whether the person was not asked yet. */
+export const isUnnamed = computed(() => holderName.value === '');
 
 /** Returns the next name in the series `Anna`, `Anna (2)`, `Anna (3)`. */
 export function another(name) {
@@ -55,18 +58,21 @@ export function another(name) {
 }
 
 /** Time at which this tab was opened, and a random number to break ties. */
-const me = [performance.timeOrigin, Math.random()];
-const wasBefore = ([at, random]) => me[0] < at || (me[0] === at && me[1] < random);
+const thisTab = [performance.timeOrigin, Math.random()];
+const wasBefore = ([at, random]) => thisTab[0] < at || (thisTab[0] === at && thisTab[1] < random);
 
 const tabs = new BroadcastChannel('wsg.names');
 
 tabs.onmessage = ({ data: { asks, taken, tab } }) => {
+  if (myName.peek() === '') return;
   if (asks === myName.peek()) {
     if (wasBefore(tab)) tabs.postMessage({ taken: asks, tab });
     else myName.value = another(asks);
-  } else if (taken === myName.peek() && tab[1] === me[1]) {
+  } else if (taken === myName.peek() && tab[1] === thisTab[1]) {
     myName.value = another(taken);
   }
 };
 
-effect(() => tabs.postMessage({ asks: myName.value, tab: me }));
+effect(() => {
+  if (myName.value !== '') tabs.postMessage({ asks: myName.value, tab: thisTab });
+});

@@ -1,12 +1,13 @@
-// Preferences stored in this browser: name, language, theme, terms of control and presets.
+// Preferences stored in this browser: name, language, theme and terms of control.
 
 import { computed, effect, signal } from '../lib.js';
 
-const PREFIX = 'wsg.';
+/** `wsg.`, or `wsg/left.` below the path `/left/`: another gateway of this host can have a gripper of the same name. */
+export const STORAGE_PREFIX = `wsg${new URL('.', location.href).pathname.slice(0, -1)}.`;
 
 function read(key, fallback) {
   try {
-    return JSON.parse(localStorage.getItem(PREFIX + key)) ?? fallback;
+    return JSON.parse(localStorage.getItem(STORAGE_PREFIX + key)) ?? fallback;
   } catch {
     return fallback;
   }
@@ -14,7 +15,7 @@ function read(key, fallback) {
 
 function write(key, value) {
   try {
-    localStorage.setItem(PREFIX + key, JSON.stringify(value));
+    localStorage.setItem(STORAGE_PREFIX + key, JSON.stringify(value));
   } catch {
     // In a private window, the value lasts as long as the page.
   }
@@ -52,12 +53,3 @@ export const onLossHolding = kept('on_loss_holding', 'keep');
 
 /** Width that Release opens to, as typed, by gripper. */
 export const openTo = kept('open_to', {}, { isShared: true });
-
-/** By gripper: `[{name, width, open, speed, force}]`. */
-export const presets = kept('presets', {}, { isShared: true });
-
-/** Changes the stored presets of one gripper, because another tab can just have changed them. */
-export function changePresets(gripper, change) {
-  const all = read('presets', presets.peek());
-  presets.value = { ...all, [gripper]: change(all[gripper] ?? []) };
-}

@@ -1,7 +1,7 @@
 // The recipes of the gateway, read again after each change by anybody.
 
 import { signal } from '../lib.js';
-import { rpc } from './store.js';
+import { rpc } from './wire.js';
 
 /** Delay of a reading, because an import is many changes. */
 const READ_AFTER_MS = 200;

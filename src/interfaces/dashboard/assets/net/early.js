@@ -1,18 +1,21 @@
-// Runs before the first paint. Sets the theme, so that no white page flashes at night, and sends the first request
-// while the modules are loading, so that the first paint shows values.
+// Runs before the first paint. Sets the theme, so that no white page flashes at night, sends the first request
+// and loads the second script while the first one is loading, so that the first paint shows values.
 
 {
   let theme = null;
   try {
-    theme = JSON.parse(localStorage.getItem('wsg.theme'));
+    // Stored as by `model/prefs.js`.
+    theme = JSON.parse(localStorage.getItem(`wsg${new URL('.', location.href).pathname.slice(0, -1)}.theme`));
   } catch {
     // Follow the system's theme.
   }
   const isDark = theme === 'dark' || (theme !== 'light' && matchMedia('(prefers-color-scheme: dark)').matches);
   document.documentElement.dataset.theme = isDark ? 'dark' : 'light';
 
-  const scheme = location.protocol === 'https:' ? 'wss' : 'ws';
-  const socket = new WebSocket(`${scheme}://${location.host}/api/v1/ws`, 'wsg.v1');
+  // Relative to the page, which a proxy can serve below any path. `ws:` takes the place of `http:`.
+  const address = new URL('api/v1/ws', location.href);
+  address.protocol = address.protocol.replace('http', 'ws');
+  const socket = new WebSocket(address, 'wsg.v1');
   const asked = {
     jsonrpc: '2.0',
     id: 0,
@@ -27,4 +30,11 @@
     if (heard.push({ data, at: performance.now() }) > MAX_HEARD) socket.close();
   };
   globalThis.early = { socket, asked, heard };
+
+  // The first script imports the second one after the first screen: then it is here already.
+  const second = document.createElement('link');
+  second.rel = 'modulepreload';
+  second.fetchPriority = 'low';
+  second.href = new URL('../later.js', document.currentScript.src).href;
+  document.head.append(second);
 }

@@ -2,7 +2,8 @@
 
 import { noConnection } from './rpc.js';
 
-const API = '/api/v1';
+/** Relative to the page, which a proxy can serve below any path. */
+const API = 'api/v1';
 
 /** Time limits of an answer, and of a page of a thousand records. */
 const ANSWERS_WITHIN_MS = 5000;
@@ -56,7 +57,7 @@ async function askOnce(
       priority: isUrgent ? 'high' : 'auto',
     };
     if (body !== undefined) options.body = JSON.stringify(body);
-    const response = await fetch(path.startsWith('/') ? path : `${API}/${path}`, options).catch(failed);
+    const response = await fetch(path.startsWith('/') ? `.${path}` : `${API}/${path}`, options).catch(failed);
     if (response.ok) return await take(response).catch(failed);
     const problem = await response.json().catch(() => (abort.signal.aborted ? failed() : null));
     throw problem ?? { code: 'internal', detail: `HTTP ${response.status}`, status: response.status };
@@ -81,6 +82,16 @@ export function send(path, body) {
 
 export function remove(path) {
   return ask(asNothing, 'DELETE', path);
+}
+
+/** Asks which methods a path has. Like a WebSocket, such a request names the page's origin. */
+export function options(path) {
+  return ask(asNothing, 'OPTIONS', path);
+}
+
+/** Sends a change that outlives the page. */
+export function sendLast(path, body) {
+  return fetch(`${API}/${path}`, { method: 'POST', body: JSON.stringify(body), keepalive: true, priority: 'high' });
 }
 
 /** Sends a request of the user `label`, which does not wait for reads. */

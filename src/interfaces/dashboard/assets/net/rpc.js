@@ -15,9 +15,11 @@ export function noConnection() {
   return { code: 'no_connection', detail: '' };
 }
 
+/** Address relative to the page, which a proxy can serve below any path. `ws:` takes the place of `http:`. */
 function address() {
-  const scheme = location.protocol === 'https:' ? 'wss' : 'ws';
-  return `${scheme}://${location.host}/api/v1/ws`;
+  const relative = new URL('api/v1/ws', location.href);
+  relative.protocol = relative.protocol.replace('http', 'ws');
+  return relative;
 }
 
 /** Returns the connection begun by `early.js`, once: `{socket, asked, heard}`, or null. */
@@ -35,6 +37,9 @@ export class Rpc {
   #timer = null;
   #isWanted = true;
   #begun = null;
+  #wasOpen = false;
+  /** Called with the number of attempts to connect that have failed in a row. */
+  onFailed = null;
 
   /**
    * `onOpen()`, `onEnd()`, `onNotification(method, params, at)`, and `onHeard(at)` for every message. `label()` returns
@@ -49,11 +54,27 @@ export class Rpc {
     return this.#socket?.readyState === WebSocket.OPEN;
   }
 
-  /** Closes the connection for good. */
+  /** Closes the connection until `open` is called. */
   close() {
+    if (!this.#isWanted) return;
     this.#isWanted = false;
     clearTimeout(this.#timer);
-    this.#socket?.close();
+    const given = this.#socket;
+    if (given === null) return;
+    this.#ended(given);
+    given.close();
+  }
+
+  /** Opens a closed connection again. */
+  open() {
+    if (this.#isWanted) return;
+    this.#isWanted = true;
+    this.hurry();
+  }
+
+  /** Whether the page wants a connection. */
+  get isWanted() {
+    return this.#isWanted;
   }
 
   /** Replaces a silent connection. */
@@ -108,6 +129,7 @@ export class Rpc {
       if (socket !== this.#socket) return;
       clearTimeout(tooLate);
       this.#tries = 0;
+      this.#wasOpen = true;
       // The first message is its answer.
       this.#begun = early && {
         params: early.asked.params,
@@ -156,9 +178,12 @@ export class Rpc {
       reject(noConnection());
     }
     this.#calls.clear();
+    const wasOpen = this.#wasOpen;
+    this.#wasOpen = false;
     this.handlers.onEnd?.();
     if (!this.#isWanted) return;
     this.#timer = setTimeout(() => this.#connect(), delay(this.#tries));
     this.#tries += 1;
+    if (!wasOpen) this.onFailed?.(this.#tries);
   }
 }

@@ -18,6 +18,11 @@ function restore() {
   } else if (panel?.isConnected) {
     last = null;
     panel.querySelector('h2')?.focus({ preventScroll: true });
+  } else if (panel !== null) {
+    // The whole panel has disappeared, as that of an acknowledged FAST STOP.
+    last = null;
+    const title = document.getElementById('motion-title') ?? document.querySelector('main h2');
+    title?.focus({ preventScroll: true });
   }
 }
 

@@ -2,7 +2,7 @@
 
 import { html, useComputed } from '../lib.js';
 import { fixed, plain, t } from '../model/i18n.js';
-import { Covered, Figure, Panel, Shape, whyOld } from './parts.js';
+import { Covered, Figure, Name, Panel, Shape, whyOld } from './parts.js';
 import { Result } from './result.js';
 import { missingText, unknownText } from './unknown.js';
 
@@ -25,7 +25,7 @@ function ticks(stroke, scale) {
           .filter((side) => mm > 0 || side > 0)
           .map(
             (side) => html`<text
-          x=${MIDDLE + (side * mm * scale) / 2} y="232">${mm}</text>`,
+          x=${MIDDLE + (side * mm * scale) / 2} y="236">${mm}</text>`,
           )
       }
     </g>`;
@@ -51,9 +51,9 @@ function Forbidden({ soft, stroke, scale }) {
   </g>`;
 }
 
-function Target({ one, scale }) {
-  const target = one.target.value;
-  if (!target || target.width_mm === null || !one.isReferenced.value) return null;
+function Target({ gripper, scale }) {
+  const target = gripper.target.value;
+  if (!target || target.width_mm === null || !gripper.isReferenced.value) return null;
   const half = (target.width_mm * scale) / 2;
   return html`<g class="target">
     ${[-1, 1].map(
@@ -75,34 +75,33 @@ function Jaw({ side, place, direction }) {
   </g></g>`;
 }
 
-function words(one) {
-  const parts = [t(`state.${one.condition.value ?? 'unknown'}`)];
-  if (one.direction.value < 0) parts.push(t('jaws.closing'));
-  if (one.direction.value > 0) parts.push(t('jaws.opening'));
-  const target = one.target.value?.width_mm;
+function words(gripper) {
+  const parts = [t(`state.${gripper.condition.value ?? 'unknown'}`)];
+  if (gripper.direction.value < 0) parts.push(t('jaws.closing'));
+  if (gripper.direction.value > 0) parts.push(t('jaws.opening'));
+  const target = gripper.target.value?.width_mm;
   if (target !== null && target !== undefined) parts.push(t('jaws.target', { width: plain(target) }));
   return parts.join(' · ');
 }
 
-function Drawing({ one }) {
-  const stroke = one.info.value?.stroke_mm ?? 110;
+function Drawing({ gripper }) {
+  const stroke = gripper.info.value?.stroke_mm ?? 110;
   const scale = SPAN / stroke;
-  const half = useComputed(() => ((one.width.value ?? stroke / 2) * scale) / 2);
+  const half = useComputed(() => ((gripper.width.value ?? stroke / 2) * scale) / 2);
   const left = useComputed(() => `translate(${(MIDDLE - half.value).toFixed(1)} 0)`);
   const right = useComputed(() => `translate(${(MIDDLE + half.value).toFixed(1)} 0)`);
   const from = useComputed(() => (MIDDLE - half.value).toFixed(1));
   const to = useComputed(() => (MIDDLE + half.value).toFixed(1));
   const between = useComputed(() => (2 * half.value).toFixed(1));
   // Signals in attributes follow the width without rendering the whole drawing again.
-  const isKnown = useComputed(() => one.width.value !== null).value;
-  const why = useComputed(() => unknownText(one.state.value, 'width_mm'));
+  const isKnown = useComputed(() => gripper.width.value !== null).value;
+  const why = useComputed(() => unknownText(gripper.state.value, 'width_mm'));
   // Between the jaws, there is no room for the reason.
-  const note = useComputed(() => t(one.isReferenced.value === false ? 'unknown.not_referenced' : 'unknown.width'));
-  const label = useComputed(() => why.value ?? t('jaws.label', { width: fixed(one.reading.value?.width_mm, 1) }));
-  const widthText = useComputed(() => t('jaws.width', { width: fixed(one.width.value, 1) }));
-  const isHolding = one.gripperState.value === 'HOLDING';
-  const isLost = one.gripperState.value === 'PART_LOST';
-  return html`<svg class=${`jaws ${isKnown ? '' : 'unknown'}`} viewBox="0 0 680 242" role="img"
+  const note = useComputed(() => t(gripper.isReferenced.value === false ? 'jaws.not_referenced' : 'unknown.width'));
+  const label = useComputed(() => why.value ?? t('jaws.label', { width: fixed(gripper.reading.value?.width_mm, 1) }));
+  const isHolding = gripper.gripperState.value === 'HOLDING';
+  const isLost = gripper.gripperState.value === 'PART_LOST';
+  return html`<svg class=${`jaws ${isKnown ? '' : 'unknown'}`} viewBox="0 0 680 246" role="img"
       aria-label=${label}>
     <defs><pattern id="hatch" width="6" height="6" patternUnits="userSpaceOnUse" patternTransform="rotate(45)"><rect
         width="2.5" height="6" /></pattern></defs>
@@ -114,27 +113,25 @@ function Drawing({ one }) {
       html`<rect class=${isLost ? 'part lost' : 'part'} x=${from} y="108"
         width=${between} height="52" rx="2" />`
     }
-    ${isHolding && isKnown && one.force.value !== null && html`<text class="part-text" x=${MIDDLE} y="139">${fixed(one.force.value, 1)} N</text>`}
-    <${Jaw} side=${-1} place=${left} direction=${one.direction.value} />
-    <${Jaw} side=${1} place=${right} direction=${one.direction.value} />
+    <${Jaw} side=${-1} place=${left} direction=${gripper.direction.value} />
+    <${Jaw} side=${1} place=${right} direction=${gripper.direction.value} />
     ${
       isKnown &&
       html`<g class="dimension"><line x1=${from} x2=${to} y1="174" y2="174" /><line x1=${from} x2=${from}
-        y1="168" y2="180" /><line x1=${to} x2=${to} y1="168" y2="180" /><text x=${MIDDLE}
-        y="196">${widthText}</text></g>`
+        y1="168" y2="180" /><line x1=${to} x2=${to} y1="168" y2="180" /></g>`
     }
-    <${Forbidden} soft=${one.softLimits.value} stroke=${stroke} scale=${scale} />
+    <${Forbidden} soft=${gripper.softLimits.value} stroke=${stroke} scale=${scale} />
     <g class="ruler"><line x1=${MIDDLE - SPAN / 2} x2=${MIDDLE + SPAN / 2} y1="208" y2="208" />${ticks(stroke, scale)}
       </g>
-    <${Target} one=${one} scale=${scale} />
+    <${Target} gripper=${gripper} scale=${scale} />
     ${!isKnown && html`<text class="jaws-note" x=${MIDDLE} y="140">${note}</text>`}
   </svg>`;
 }
 
-function Figures({ one }) {
-  const read = one.reading.value;
-  const info = one.info.value;
-  const soft = one.softLimits.value;
+function Figures({ gripper }) {
+  const read = gripper.reading.value;
+  const info = gripper.info.value;
+  const soft = gripper.softLimits.value;
   const hasSoft = soft?.minus_mm != null;
   const widths = hasSoft
     ? t('figure.soft', { min: plain(soft.minus_mm), max: plain(soft.plus_mm) })
@@ -142,30 +139,37 @@ function Figures({ one }) {
   return html`<div class="figures">
     <${Figure} label=${t('width')} value=${read?.width_mm} decimals=${2} unit="mm" note=${widths} timed="width"
         why=${unknownText(read, 'width_mm')} class="figure-main" />
+    <${Figure} label=${t('force')} value=${read?.force_n} decimals=${1} unit="N" why=${unknownText(read, 'force_n')}
+        note=${t('figure.max', {
+          max: plain(gripper.hasOverdrive.value ? info?.overdrive_force_n : info?.nominal_force_n),
+          unit: 'N',
+        })} class="figure-force" />
     <${Figure} label=${t('speed')} value=${read?.speed_mm_s} decimals=${1} unit="mm/s" why=${unknownText(read, 'speed_mm_s')}
         note=${t('figure.max', {
           max: plain(info?.max_speed_mm_s),
           unit: 'mm/s',
-        })} />
-    <${Figure} label=${t('force')} value=${read?.force_n} decimals=${1} unit="N" why=${unknownText(read, 'force_n')}
-        note=${t('figure.max', {
-          max: plain(one.hasOverdrive.value ? info?.overdrive_force_n : info?.nominal_force_n),
-          unit: 'N',
-        })} />
+        })} class="figure-speed" />
   </div>`;
 }
 
 /** Names the values that the gripper does not send. */
-function Missing({ one }) {
-  const text = missingText(one);
+function Missing({ gripper }) {
+  const text = missingText(gripper);
   return text && html`<p class="unknown-values tone-high"><${Shape} name="high" /> <span>${text}</span></p>`;
 }
 
-export function Jaws({ one }) {
-  return html`<${Panel} title=${one.name} id="jaws-title" class="jaws-panel" actions=${
-    !whyOld(one) &&
-    html`<span class="jaws-words" data-state=${one.condition.value}>${words(one)}</span><${Result} one=${one} />`
-  }>
-    <${Covered} one=${one}><${Missing} one=${one} /><${Drawing} one=${one} /><${Figures} one=${one} /></${Covered}>
+/** The gripper's state or the result of its grip; nothing while old values are covered. */
+function Now({ gripper }) {
+  const old = whyOld(gripper) !== null;
+  return html`<div class="now" inert=${old}>${
+    !old &&
+    html`<div class="jaws-words" data-state=${gripper.condition.value}><${Result} gripper=${gripper}>${words(gripper)}</${Result}></div>`
+  }</div>`;
+}
+
+export function Jaws({ gripper }) {
+  return html`<${Panel} title=${html`<${Name} text=${gripper.name} />`} id="jaws-title" class="jaws-panel">
+    <${Now} gripper=${gripper} />
+    <${Covered} gripper=${gripper}><${Missing} gripper=${gripper} /><${Figures} gripper=${gripper} /><${Drawing} gripper=${gripper} /></${Covered}>
   </${Panel}>`;
 }

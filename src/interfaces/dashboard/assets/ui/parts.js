@@ -6,8 +6,8 @@ import { isActive } from '../core/alarms.js';
 import { ordered } from '../core/newest.js';
 import { lacksFlags } from '../core/values.js';
 import { alarms } from '../model/alarms.js';
-import { fixed, ofProblem, span, t, time } from '../model/i18n.js';
-import { connection, heardAt, now } from '../model/store.js';
+import { breakable, fixed, ofProblem, span, t, time, withoutTicks } from '../model/i18n.js';
+import { connection, heardAt, now } from '../model/state.js';
 import { valueNames } from './unknown.js';
 
 /** Shapes beside words, so that colour is never the only sign. */
@@ -20,11 +20,21 @@ const SHAPES = {
   moving: 'M1 8l5-5v3h4V3l5 5-5 5v-3H6v3z',
   check: 'M2 8.5 4 6.5l3 3 5.5-6 2 2L7 13.5z',
   lock: 'M4 7V5a4 4 0 0 1 8 0v2h1v8H3V7zm2 0h4V5a2 2 0 0 0-4 0z',
+  next: 'M2 6.5h7V2l6 6-6 6V9.5H2z',
+  pen: 'M1.5 14.5l.9-4L11 2l3 3-8.5 8.6z',
+  held: 'M0 1h4v14H0zm12 0h4v14h-4zM5 4h6v8H5z',
+  empty: 'M0 1h4v14H0zm12 0h4v14h-4z',
+  lost: 'M0 1h4v8H0zm12 0h4v8h-4zM5 3h6v2H5zm1.5 5h3v3H12l-4 4.5L4 11h2.5z',
 };
 
 export function Shape({ name }) {
   return html`<svg class=${`shape shape-${name}`} viewBox="0 0 16 16" aria-hidden="true"><path d=${SHAPES[name]} />
     </svg>`;
+}
+
+/** A name, which can be broken after its separators. */
+export function Name({ text }) {
+  return html`<span class="name">${breakable(text)}</span>`;
 }
 
 export function Panel({ title, id, actions, class: extra = '', children }) {
@@ -38,8 +48,8 @@ export function Panel({ title, id, actions, class: extra = '', children }) {
 const LINK_ALARMS = ['not_reached', 'link_down', 'link_released'];
 
 /** Time at which the gateway has lost the link; null if no alarm shows it. */
-function linkAlarmAt(one) {
-  const ofLink = (alarm) => alarm.gripper === one.name && LINK_ALARMS.includes(alarm.alarm) && isActive(alarm);
+function linkAlarmAt(gripper) {
+  const ofLink = (alarm) => alarm.gripper === gripper.name && LINK_ALARMS.includes(alarm.alarm) && isActive(alarm);
   const alarm = alarms.value.find(ofLink);
   return alarm ? Date.parse(alarm.began_at) : null;
 }
@@ -48,19 +58,19 @@ function linkAlarmAt(one) {
  * Why and since when the shown values are old or unknown; null while they are current. `sinceKey` is the key of the text
  * about the time.
  */
-export function whyOld(one) {
+export function whyOld(gripper) {
   if (connection.value === 'connecting') return { text: t('stale.connecting') };
   if (connection.value !== 'live') {
     return { text: t(`stale.${connection.value}`), since: heardAt.value, sinceKey: 'stale.since' };
   }
-  if (one && one.link.value !== null && one.link.value !== 'connected') {
-    const since = one.lostAt.value ?? linkAlarmAt(one);
-    const detail = one.linkCause.value;
-    if (lacksFlags(one.state.value)) {
-      const text = t('stale.flags', { values: valueNames(one.state.value.stale) });
+  if (gripper && gripper.link.value !== null && gripper.link.value !== 'connected') {
+    const since = gripper.lostAt.value ?? linkAlarmAt(gripper);
+    const detail = gripper.linkCause.value;
+    if (lacksFlags(gripper.state.value)) {
+      const text = t('stale.flags', { values: valueNames(gripper.state.value.stale) });
       return { text, since, sinceKey: 'stale.flags_since', detail };
     }
-    return { text: t(`stale.link.${one.link.value}`), since, sinceKey: 'stale.link_since', detail };
+    return { text: t(`stale.link.${gripper.link.value}`), since, sinceKey: 'stale.link_since', detail };
   }
   return null;
 }
@@ -69,8 +79,8 @@ export function whyOld(one) {
  * Covers old and unknown values and shows since when, so that they never look live. The elements stay, with what a
  * person has typed or opened in them.
  */
-export function Covered({ one, children }) {
-  const old = whyOld(one);
+export function Covered({ gripper, children }) {
+  const old = whyOld(gripper);
   return html`<div class=${old ? 'covered' : 'uncovered'}>
     <div class=${old ? 'covered-content' : 'uncovered'} inert=${old !== null}
         aria-hidden=${old ? 'true' : undefined}>${children}</div>
@@ -92,7 +102,7 @@ export function ProblemNote({ problem }) {
       known &&
       html`<div class="problem"><${Shape} name="high" /><div>
       <p>${ofProblem(known)}</p>
-      ${known.detail && html`<p class="muted small" lang="en">${known.detail}</p>`}
+      ${known.detail && html`<p class="muted small" lang="en">${withoutTicks(known.detail)}</p>`}
     </div></div>`
     }
   </div>`;
@@ -138,11 +148,11 @@ export function Choice({ label, name, options, value, onChange }) {
 }
 
 /** Shape beside a gripper's name. */
-export function shapeOf(one) {
-  if (whyOld(one)) return 'high';
-  if (one.latchId.value) return 'critical';
-  if (one.condition.value === null || one.isMoving.value === null) return 'off';
-  return one.isMoving.value ? 'moving' : 'on';
+export function shapeOf(gripper) {
+  if (whyOld(gripper)) return 'high';
+  if (gripper.latchId.value) return 'critical';
+  if (gripper.condition.value === null || gripper.isMoving.value === null) return 'off';
+  return gripper.isMoving.value ? 'moving' : 'on';
 }
 
 /**

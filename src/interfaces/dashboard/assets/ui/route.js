@@ -1,7 +1,7 @@
 // Keeps the gripper and the view in the address, so that users can save and share it.
 
 import { effect } from '../lib.js';
-import { gripper, selected, view, VIEWS } from '../model/store.js';
+import { shownGripper, selected, view, VIEWS } from '../model/state.js';
 
 function read() {
   const [, name, wanted] = location.hash.split('/');
@@ -13,7 +13,9 @@ function read() {
   if (VIEWS.includes(wanted)) view.value = wanted;
 }
 
+/** Opens a view, at its top. */
 export function go(wanted = view.peek() === 'all' ? 'operate' : view.peek()) {
+  if (wanted !== view.peek()) scrollTo(0, 0);
   view.value = wanted;
 }
 
@@ -22,14 +24,14 @@ export function start() {
   addEventListener('hashchange', read);
   let isFirst = true;
   const write = () => {
-    if (!gripper.peek()) return;
-    const address = `#/${encodeURIComponent(gripper.peek().name)}/${view.peek()}`;
+    if (!shownGripper.peek()) return;
+    const address = `#/${encodeURIComponent(shownGripper.peek().name)}/${view.peek()}`;
     // The browser's Back button returns to the previous view.
     if (location.hash !== address) history[isFirst ? 'replaceState' : 'pushState'](null, '', address);
     isFirst = false;
   };
   effect(() => {
     // A change of gripper and view together is one step of the history.
-    if (gripper.value && view.value) queueMicrotask(write);
+    if (shownGripper.value && view.value) queueMicrotask(write);
   });
 }

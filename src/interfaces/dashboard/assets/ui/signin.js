@@ -1,11 +1,25 @@
 // The form to sign in with a token.
 
-import { html, signal } from '../lib.js';
+import { effect, html, signal } from '../lib.js';
 import { releaseControl } from '../model/commands.js';
 import { ofProblem, t } from '../model/i18n.js';
-import { enterPin, forgetPin, me, signIn, signOut } from '../model/me.js';
-import { grippers } from '../model/store.js';
+import { enterPin, forgetPin, me, mustSignIn, signIn, signOut } from '../model/me.js';
+import { grippers } from '../model/state.js';
+import { rpc } from '../model/wire.js';
 import { noConnection } from '../net/rpc.js';
+import { addNotices } from './strip.js';
+
+// The gateway refuses the connections of a person who has to sign in, and records each refusal.
+effect(() => {
+  if (mustSignIn.value) rpc.close();
+  else rpc.open();
+});
+
+const NEXT_RANK = 90;
+
+addNotices(() =>
+  mustSignIn.value ? [{ key: 'sign-in', rank: NEXT_RANK, kind: 'next', shape: 'next', text: t('signin.next') }] : [],
+);
 
 /** Problem of the last attempt. */
 const refused = signal(null);
@@ -63,10 +77,13 @@ function PinField() {
 
 /** Gives up control of all grippers, and then the rights of the PIN, even if the gateway does not respond. */
 async function lock() {
-  const mine = grippers.peek().filter((one) => one.isMine.peek());
+  const mine = grippers.peek().filter((gripper) => gripper.isMine.peek());
   // One after the other: the gateway limits the requests in progress.
   let isOver = false;
-  const released = mine.reduce((before, one) => before.then(() => isOver || releaseControl(one)), Promise.resolve());
+  const released = mine.reduce(
+    (before, gripper) => before.then(() => isOver || releaseControl(gripper)),
+    Promise.resolve(),
+  );
   await Promise.race([released, new Promise((resolve) => setTimeout(resolve, RELEASED_WITHIN_MS))]);
   // What the next person controls is not released.
   isOver = true;

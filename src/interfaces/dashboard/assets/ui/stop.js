@@ -3,8 +3,11 @@
 import { effect, html, signal } from '../lib.js';
 import { ofProblem, t } from '../model/i18n.js';
 import { fastStop, fastStopFleet, fastStopOne } from '../model/commands.js';
-import { find, grippers, hasOthers } from '../model/store.js';
+import { mustSignIn } from '../model/me.js';
+import { find, grippers, hasOthers } from '../model/state.js';
+import { get } from '../net/rest.js';
 import { onPress } from './parts.js';
+import { addNotices } from './strip.js';
 
 /**
  * Results of FAST STOPs by the name of the gripper, `HERE` or `FLEET`: `{text, isWrong, note}`, with the `id` of a FAST
@@ -33,8 +36,8 @@ const notConfirmed = (unconfirmed, id) => ({
 
 /** Whether a gripper of this gateway has confirmed this FAST STOP or a newer one. Ids grow with time. */
 function hasConfirmed(name, id) {
-  const one = find(name);
-  return one?.isConfirmed.value === true && one.latchId.value >= id;
+  const gripper = find(name);
+  return gripper?.isConfirmed.value === true && gripper.latchId.value >= id;
 }
 
 effect(() => {
@@ -57,6 +60,19 @@ function forgetWithin(whom) {
     change(other, null);
   }
 }
+
+/** Whether the gateway refuses a FAST STOP without a sign-in. */
+const needsSignIn = signal(false);
+
+effect(() => {
+  if (!mustSignIn.value) return;
+  get('/healthz').then(
+    ({ fast_stop: needs }) => {
+      needsSignIn.value = needs === 'credential';
+    },
+    () => {},
+  );
+});
 
 /** Time for which a confirmation is shown. */
 const CONFIRMATION_SHOWN_MS = 8000;
@@ -93,45 +109,40 @@ async function stopAndReport(send, whom, allText = null) {
     if (isConfirmed) confirm();
     else report({ ...notConfirmed(unconfirmed, id), note, confirm });
   } catch (problem) {
-    report({ text: of + t('stop.failed', { why: ofProblem(problem) }), isWrong: true });
+    const isStranger = problem.code === 'unauthorized' && mustSignIn.peek();
+    if (isStranger) needsSignIn.value = true;
+    report({
+      text: of + (isStranger ? t('stop.refused') : t('stop.failed', { why: ofProblem(problem) })),
+      isWrong: true,
+    });
   }
 }
 
 export const stop = () => stopAndReport(fastStop, HERE, 'stop.here_count');
 
-export const stopOne = (one) => stopAndReport(() => fastStopOne(one), one.name);
+export const stopOne = (gripper) => stopAndReport(() => fastStopOne(gripper), gripper.name);
 
 export const stopFleet = () => stopAndReport(fastStopFleet, FLEET, 'stop.fleet_count');
 
 const STOP_KEYS = ['Escape', 'Pause'];
 
-/** Keys that are down. */
-const down = new Set();
-
-/** Escape and Pause work in any view, also while the user types. */
+/**
+ * Escape and Pause work in any view, also while the user types. A key that the browser keeps for itself, to close its find
+ * bar, a menu or an open list, reaches the page as no `keydown`, and stops nothing.
+ */
 addEventListener(
   'keydown',
   (event) => {
     if (!STOP_KEYS.includes(event.key)) return;
     event.preventDefault();
-    down.add(event.key);
     if (!event.repeat) stop();
   },
   { capture: true },
 );
 
-// An open list consumes the `keydown` event, so the page gets only the `keyup` event.
-addEventListener(
-  'keyup',
-  ({ key }) => {
-    if (STOP_KEYS.includes(key) && !down.delete(key)) stop();
-  },
-  { capture: true },
-);
-// The `keyup` event can go to another window.
-addEventListener('blur', () => down.clear());
-
 export function Stop() {
+  if (needsSignIn.value && mustSignIn.value)
+    return html`<p class="stop-place no-stop" id="no-stop">${t('stop.sign_in')}</p>`;
   const count = grippers.value.length;
   return html`<div class="stop-place">
     <button type="button" class="stop" id="stop" ...${onPress(stop)} aria-describedby="stop-note">
@@ -142,12 +153,20 @@ export function Stop() {
   </div>`;
 }
 
-/** Results of FAST STOPs, the newest first. */
-export function Results() {
-  return html`<div class="results">${[...results.value].reverse().map(
-    ([whom, { text, isWrong, note }]) => html`<p key=${whom} class=${`stopped ${isWrong ? 'tone-critical' : ''}`}
-        role="status">${text} ${note}
-      <button type="button" class="quiet" aria-label=${`${t('close')}: ${text}`}
-        onClick=${() => change(whom, null)}>${t('close')}</button></p>`,
-  )}</div>`;
-}
+/** Ranks of the results among all notices: those that are not as wanted come first. */
+const RANK = { wrong: 0, right: 10 };
+
+addNotices(() =>
+  [...results.value].reverse().map(([whom, { text, isWrong, note }]) => ({
+    key: `stop/${whom}/${text}`,
+    rank: isWrong ? RANK.wrong : RANK.right,
+    kind: 'stop',
+    isStop: true,
+    tone: isWrong ? 'tone-critical' : '',
+    shape: isWrong ? 'critical' : 'check',
+    text: note ? `${text} ${note}` : text,
+    close: () => change(whom, null),
+    closeLabel: t('close'),
+    closeName: text,
+  })),
+);

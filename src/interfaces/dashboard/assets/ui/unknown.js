@@ -21,7 +21,7 @@ export function Unknown({ word, why }) {
 }
 
 /** Names the values that the gripper should send and does not. */
-export function missingText(one) {
-  const names = one.missing.value;
+export function missingText(gripper) {
+  const names = gripper.missing.value;
   return names === null || names === '' ? null : t('unknown.values', { values: valueNames(names.split(' ')) });
 }

@@ -6,10 +6,10 @@ import { person } from '../core/people.js';
 import { acknowledgeAlarms, alarms } from '../model/alarms.js';
 import { moment, ofProblem, t } from '../model/i18n.js';
 import { mayOperate } from '../model/me.js';
-import { isLive, rpc, selected } from '../model/store.js';
+import { isLive } from '../model/state.js';
+import { rpc } from '../model/wire.js';
 import { Panel, Shape } from '../ui/parts.js';
-import { go } from '../ui/route.js';
-import { alarmName, causeText } from './alarm.js';
+import { alarmName, causeText, showAlarm, showPanel } from '../ui/alarm.js';
 import { Chooser, choosing } from './chooser.js';
 
 /** Texts of refused acknowledgements. */
@@ -19,13 +19,6 @@ async function acknowledgeShown(chosen) {
   refusals.value = [];
   const refused = await acknowledgeAlarms(rpc, chosen);
   refusals.value = refused.map(({ alarm, problem }) => `${alarmName(alarm)}: ${ofProblem(problem)}`);
-}
-
-/** Opens a view of the alarm's gripper, and scrolls to a panel. */
-function show(alarm, wantedView, panel) {
-  selected.value = alarm.gripper;
-  go(wantedView);
-  requestAnimationFrame(() => document.getElementById(panel)?.scrollIntoView({ block: 'center' }));
 }
 
 function stateText(alarm) {
@@ -47,12 +40,12 @@ function Row({ alarm }) {
     ${
       alarm.alarm === 'finger_fault' &&
       html`<button type="button" aria-label=${`${t('finger.title')}: ${alarm.gripper}`} onClick=${() =>
-        show(alarm, 'device', 'fingers-title')}>${t('finger.title')}</button>`
+        showPanel(alarm, 'device', 'fingers-title')}>${t('finger.title')}</button>`
     }
     ${
       alarm.alarm === 'fast_stop'
         ? html`<button type="button" aria-label=${`${t('alarm.show')}: ${alarmName(alarm)}`}
-        onClick=${() => show(alarm, 'operate', 'motion-title')}>${t('alarm.show')}
+        onClick=${() => showAlarm(alarm)}>${t('alarm.show')}
           </button>`
         : isOpen(alarm) &&
           mayOperate(alarm.gripper) &&

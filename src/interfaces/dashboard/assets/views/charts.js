@@ -3,8 +3,8 @@
 import { html, signal, useComputed, useEffect, useRef } from '../lib.js';
 import { fixed, t } from '../model/i18n.js';
 import { get } from '../net/rest.js';
-import { drawWith } from '../model/store.js';
-import { css, fit, looks, plot } from './plot.js';
+import { drawWith } from '../model/screen.js';
+import { css, fit, looks, plot } from '../ui/plot.js';
 import { Choice, Covered, Panel } from '../ui/parts.js';
 import { unknownText } from '../ui/unknown.js';
 
@@ -17,14 +17,20 @@ const POINTS = 600;
 const MOVING_MS = 230;
 const STANDING_MS = 500;
 
-const MARK_SHAPES = { begin: '\u25bd', held: '\u25cf', end: '\u25cb' };
+const MARK_SHAPES = { begin: '\u25bd', held: '\u25cf', empty: '\u25a1', wrong: '\u25c6', end: '\u25cb' };
 
 const windowS = signal(30);
 /** Time at which the charts were paused; null while they run. */
 const pausedAt = signal(null);
 
 const CHARTS = [
-  { key: 'width', name: 'width_mm', unit: 'mm', column: 1, range: (one) => [0, one.info.peek()?.stroke_mm ?? 110] },
+  {
+    key: 'width',
+    name: 'width_mm',
+    unit: 'mm',
+    column: 1,
+    range: (gripper) => [0, gripper.info.peek()?.stroke_mm ?? 110],
+  },
   {
     key: 'speed',
     name: 'speed_mm_s',
@@ -56,7 +62,7 @@ function markAt(drawn, marks, until) {
   ctx.restore();
 }
 
-function make(one, chart, { place, output }, until) {
+function make(gripper, chart, { place, output }, until) {
   return plot(place, {
     data: [[], []],
     padding: [8, 16, 0, 0],
@@ -64,49 +70,49 @@ function make(one, chart, { place, output }, until) {
     output,
     group: 'charts',
     xScale: { range: () => [-windowS.peek(), 0] },
-    yScale: { range: (_, low, high) => chart.range(one, low ?? 0, high ?? 0) },
-    hooks: { draw: [(drawn) => markAt(drawn, one.marks, until())] },
+    yScale: { range: (_, low, high) => chart.range(gripper, low ?? 0, high ?? 0) },
+    hooks: { draw: [(drawn) => markAt(drawn, gripper.marks, until())] },
   });
 }
 
 /** Grippers whose charts begin with the gateway's values. */
 const filled = new WeakSet();
 
-async function fill(one) {
-  if (filled.has(one)) return;
-  filled.add(one);
+async function fill(gripper) {
+  if (filled.has(gripper)) return;
+  filled.add(gripper);
   try {
-    one.takeTrend(await get(`grippers/${one.name}/trend`));
+    gripper.takeTrend(await get(`grippers/${gripper.name}/trend`));
   } catch {
     // Tried again when the charts are shown again.
-    filled.delete(one);
+    filled.delete(gripper);
   }
 }
 
 /** Why the chart has a gap at its end. */
-function Gap({ one, name }) {
-  const why = useComputed(() => unknownText(one.state.value, name)).value;
+function Gap({ gripper, name }) {
+  const why = useComputed(() => unknownText(gripper.state.value, name)).value;
   return why && html`<span class="gap-note">– ${why}</span>`;
 }
 
-function Charted({ one }) {
+function Charted({ gripper }) {
   const places = useRef([]);
   const outputs = useRef([]);
   useEffect(() => {
-    fill(one);
+    fill(gripper);
     let until = performance.now();
     let drawnAt = 0;
     const mounted = [...places.current];
     const plots = CHARTS.map((chart, index) =>
-      make(one, chart, { place: mounted[index], output: outputs.current[index] }, () => until),
+      make(gripper, chart, { place: mounted[index], output: outputs.current[index] }, () => until),
     );
     const draw = () => {
       until = pausedAt.peek() ?? performance.now();
-      const columns = one.samples.window(until - windowS.peek() * 1000, until, POINTS);
+      const columns = gripper.samples.window(until - windowS.peek() * 1000, until, POINTS);
       plots.forEach((drawn, index) => drawn.setData([columns[0], columns[CHARTS[index].column]]));
       drawnAt = performance.now();
     };
-    const isDue = () => performance.now() - drawnAt >= (one.isMoving.peek() ? MOVING_MS : STANDING_MS);
+    const isDue = () => performance.now() - drawnAt >= (gripper.isMoving.peek() ? MOVING_MS : STANDING_MS);
     draw();
     const endDrawing = drawWith(() => {
       if (pausedAt.peek() === null && !document.hidden && isDue()) draw();
@@ -117,11 +123,11 @@ function Charted({ one }) {
       endFitting();
       plots.forEach((drawn) => drawn.destroy());
     };
-  }, [one, looks(), windowS.value]);
+  }, [gripper, looks(), windowS.value]);
   return html`<div class="charts">
     ${CHARTS.map(
       (chart, index) => html`<figure class="chart" key=${chart.key}>
-      <figcaption>${t(chart.key)} <span class="unit">${chart.unit}</span> <${Gap} one=${one} name=${chart.name} /> <output ref=${(
+      <figcaption>${t(chart.key)} <span class="unit">${chart.unit}</span> <${Gap} gripper=${gripper} name=${chart.name} /> <output ref=${(
         output,
       ) => {
         outputs.current[index] = output;
@@ -137,7 +143,7 @@ function Charted({ one }) {
   </div>`;
 }
 
-export function Charts({ one }) {
+export function Charts({ gripper }) {
   const isPaused = pausedAt.value !== null;
   const actions = html`
     <${Choice} label=${t('chart.window')} name="window" value=${windowS.value}
@@ -151,8 +157,8 @@ export function Charts({ one }) {
         }}>${t(isPaused ? 'chart.resume' : 'chart.pause')}
           </button>`;
   return html`<${Panel} title=${t('chart.title')} id="chart-title" class="charts-panel" actions=${actions}>
-    <${Covered} one=${one}><${Charted} one=${one} /></${Covered}>
-    <p class="legend muted small">${MARK_SHAPES.begin} ${t('chart.begin')} ${MARK_SHAPES.held} ${t('chart.held')} ${MARK_SHAPES.end} ${t('chart.end')}
+    <${Covered} gripper=${gripper}><${Charted} gripper=${gripper} /></${Covered}>
+    <p class="legend muted small">${MARK_SHAPES.begin} ${t('chart.begin')} ${MARK_SHAPES.held} ${t('chart.held')} ${MARK_SHAPES.empty} ${t('chart.empty')} ${MARK_SHAPES.wrong} ${t('chart.wrong')} ${MARK_SHAPES.end} ${t('chart.end')}
       </p>
   </${Panel}>`;
 }

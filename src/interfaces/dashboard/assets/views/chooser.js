@@ -3,8 +3,8 @@
 
 import { html, signal, useEffect, useSignal } from '../lib.js';
 import { t } from '../model/i18n.js';
-import { alarmName, causeText } from './alarm.js';
-import { SEEN_AFTER_MS, shortId } from './latch.js';
+import { alarmName, causeText } from '../ui/alarm.js';
+import { SEEN_AFTER_MS, shortId } from '../core/ids.js';
 
 /** Alarms to choose from; null while the choice is closed. */
 export const choosing = signal(null);

@@ -1,62 +1,26 @@
-// Control: its holder, how another client gets it, and what happens if this browser is lost.
+// Terms of control: what happens if this browser is lost, and which other clients are active.
 
 import { html, useEffect } from '../lib.js';
-import { ago } from './ago.js';
-import { changeTerms, handOver, releaseControl, takeControl } from '../model/commands.js';
+import { ago } from '../ui/ago.js';
+import { changeTerms } from '../model/commands.js';
 import { person, plainSubject } from '../core/people.js';
-import { clients } from './clients.js';
-import { Force } from './force.js';
-import { watchMetrics } from './metrics.js';
-import { asks } from './notices.js';
+import { clients } from '../model/clients.js';
+import { watchMetrics } from '../model/metrics.js';
 import { t } from '../model/i18n.js';
 import { me } from '../model/me.js';
 import { myName } from '../model/name.js';
 import { onLossHolding, onLossMoving } from '../model/prefs.js';
-import { now, others } from '../model/store.js';
-import { Covered, Panel, Shape } from '../ui/parts.js';
+import { now, others } from '../model/state.js';
+import { Panel } from '../ui/parts.js';
 
-function Held({ one }) {
-  const asked = one.lease.value?.requested_by;
-  return html`<p><${Shape} name="lock" /> <strong>${t('control.mine', { name: one.holder.value })}</strong></p>
-    ${
-      // The user can still hand over after closing the notice.
-      asked &&
-      !asks(one) &&
-      html`<div class="buttons"><button type="button" onClick=${() => handOver(one, asked)}>${t('control.hand_over', {
-        name: asked,
-      })}</button></div>`
-    }
-    <div class="buttons"><button type="button" id="give-back"
-        onClick=${() => releaseControl(one)}>${t('control.release')}</button></div>`;
-}
-
-function OfAnother({ one, holder }) {
-  return html`<p><${Shape} name="lock" /> ${t('control.held_by', { holder })}</p>
-    ${one.isControlRequested.value && html`<p class="muted" role="status">${t('control.asking', { holder })}</p>`}
-    <div class="buttons">
-      <button type="button" id="ask-control" onClick=${() => takeControl(one, { request: true })}>${t('control.ask')}
-        </button>
-      <${Force} one=${one} />
-    </div>
-    <p class="hint">${t('control.force_hint')}</p>`;
-}
-
-function Free({ one }) {
-  const reserved = one.reservedFor.value;
-  return html`<p>${reserved ? t('control.reserved', { name: reserved }) : t('control.nobody')}</p>
-    <div class="buttons"><button type="button" id="take-control" class="primary"
-        onClick=${() => takeControl(one)}>${t('control.take')}</button>
-    ${reserved && reserved !== myName.value && html`<${Force} one=${one} />`}</div>`;
-}
-
-function Terms({ one }) {
+function Terms({ gripper }) {
   const choose = (signal) => (event) => {
     signal.value = event.currentTarget.value;
-    if (one.isMine.peek()) changeTerms(one);
+    if (gripper.isMine.peek()) changeTerms(gripper);
   };
   const terms =
-    one.isMine.value && one.lease.value
-      ? one.lease.value
+    gripper.isMine.value && gripper.lease.value
+      ? gripper.lease.value
       : { on_loss_moving: onLossMoving.value, on_loss_holding: onLossHolding.value };
   return html`<p class="small">${t(`gone.moving.${terms.on_loss_moving}`)} ${t(`gone.holding.${terms.on_loss_holding}`)} ${t('gone.link')}
     </p>
@@ -95,20 +59,10 @@ function Others() {
     })}</ul>`;
 }
 
-export function Control({ one }) {
-  const holder = one.holder.value;
-  return html`<${Panel} title=${t('control.title')} id="control-title" class="control-panel">
-    <${Covered}>
-      ${
-        one.isMine.value
-          ? html`<${Held} one=${one} />`
-          : holder
-            ? html`<${OfAnother} one=${one}
-          holder=${holder} />`
-            : html`<${Free} one=${one} />`
-      }
-      <details class="more" open><summary>${t('control.if_gone')}</summary><${Terms} one=${one} /></details>
-      <${Others} />
-    </${Covered}>
+/** Terms of the lease for the case that this browser is lost, and the other clients. */
+export function Control({ gripper }) {
+  return html`<${Panel} title=${t('control.if_gone')} id="terms-title" class="control-panel">
+    <${Terms} gripper=${gripper} />
+    <${Others} />
   </${Panel}>`;
 }

@@ -3,9 +3,7 @@
 import { html, useEffect, useRef, useSignal } from '../lib.js';
 import { fixed, moment, t } from '../model/i18n.js';
 import { get } from '../net/rest.js';
-import { fit, Line, looks, MAX_LINES, overlaid, plot } from './plot.js';
-
-export const MAX_CURVES = MAX_LINES;
+import { fit, Line, looks, overlaid, plot } from '../ui/plot.js';
 
 const ROWS = [
   ['width', 'width_mm', 'mm'],

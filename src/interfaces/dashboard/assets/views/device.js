@@ -4,24 +4,29 @@ import { html, useEffect, useRef, useSignal } from '../lib.js';
 import { accelerationLimits, asTyped, forceLimits, mistake, number, widthLimits } from '../core/limits.js';
 import { fixed, plain, t } from '../model/i18n.js';
 import { ask } from '../model/commands.js';
-import { ALL_SETTINGS, connection, learnSettings, read } from '../model/store.js';
+import { mayOperate } from '../model/me.js';
+import { ALL_SETTINGS, learnSettings, read } from '../model/reads.js';
+import { connection } from '../model/state.js';
+import { ConfirmButton } from '../ui/confirm.js';
 import { Covered, Panel, Shape, useNewest } from '../ui/parts.js';
 import { unknownText } from '../ui/unknown.js';
-import { Facts } from './facts.js';
-import { limitsText, NumberField } from './fields.js';
+import { Facts } from '../ui/facts.js';
+import { limitsText, NumberField } from '../ui/fields.js';
+import { Control } from './control.js';
 import { FingerSet } from './finger_set.js';
 import { Fingers } from './fingers.js';
+import { Flags } from './flags.js';
 import { Health } from './health.js';
 
 /** The temperature, or why it is unknown; null for a firmware that does not report it. */
-function temperatureText(one) {
-  if (one.temperature.value !== null) return `${fixed(one.temperature.value, 1)} °C`;
-  if (!one.missing.value?.includes('temperature_c')) return null;
-  return `– (${unknownText(one.state.value, 'temperature_c')})`;
+function temperatureText(gripper) {
+  if (gripper.temperature.value !== null) return `${fixed(gripper.temperature.value, 1)} °C`;
+  if (!gripper.missing.value?.includes('temperature_c')) return null;
+  return `– (${unknownText(gripper.state.value, 'temperature_c')})`;
 }
 
-function About({ one }) {
-  const info = one.info.value;
+function About({ gripper }) {
+  const info = gripper.info.value;
   if (!info) return null;
   return html`<${Panel} title=${t('device.title')} id="device-title"><${Facts} facts=${[
     ['device.model', info.device_type],
@@ -30,15 +35,15 @@ function About({ one }) {
     ['device.hardware', info.hardware_revision],
     ['device.tag', info.device_tag],
     ['device.url', info.url],
-    ['device.temperature', temperatureText(one)],
+    ['device.temperature', temperatureText(gripper)],
     ['device.capabilities', info.capabilities.join(', ')],
     ['device.if_gateway', t(info.stops_on_gateway_loss ? 'device.stops' : 'device.moves_on')],
   ]} /></${Panel}>`;
 }
 
-function Limits({ one }) {
-  const info = one.info.value;
-  const soft = one.softLimits.value;
+function Limits({ gripper }) {
+  const info = gripper.info.value;
+  const soft = gripper.softLimits.value;
   return html`<${Panel} title=${t('limits.title')} id="limits-title"><${Facts} facts=${[
     ['limits.stroke', limitsText(widthLimits(info, null), 'mm')],
     [
@@ -56,8 +61,8 @@ function Limits({ one }) {
  * Draft of a setting. Follows the device's value until the user types. From then on the draft stays, and `meanwhile`
  * is the value that another client has set.
  */
-function useDraft(one, field, asText = asTyped) {
-  const known = one.settings.value;
+function useDraft(gripper, field, asText = asTyped) {
+  const known = gripper.settings.value;
   const set = field in known ? asText(known[field]) : null;
   const value = useSignal(set ?? '');
   const lastKnown = useRef(set);
@@ -83,10 +88,10 @@ function useDraft(one, field, asText = asTyped) {
 }
 
 /** Note that another client has set a value while the user typed, with a button to use that value. */
-function Meanwhile({ one, drafts }) {
+function Meanwhile({ gripper, drafts }) {
   const overtaken = drafts.filter(({ meanwhile }) => meanwhile !== null);
   if (overtaken.length === 0) return null;
-  const by = [...new Set(overtaken.map(({ key }) => one.setBy.value[key] ?? '–'))].join(', ');
+  const by = [...new Set(overtaken.map(({ key }) => gripper.setBy.value[key] ?? '–'))].join(', ');
   return html`<p class="meanwhile small" role="status"><${Shape} name="high" /> ${t('settings.meanwhile', {
     by,
     value: overtaken.map(({ meanwhile, unit = '' }) => `${meanwhile || '–'} ${unit}`.trim()).join(', '),
@@ -96,7 +101,7 @@ function Meanwhile({ one, drafts }) {
 }
 
 /** Form of one setting. */
-function Setting({ one, id, method, name, fields, limits, send, children }) {
+function Setting({ gripper, id, method, name, fields, limits, send, children }) {
   const wrong = fields.some(({ value, key }) => mistake(number(value.value), limits(key)));
   const set = (event) => {
     event.preventDefault();
@@ -110,57 +115,57 @@ function Setting({ one, id, method, name, fields, limits, send, children }) {
           </div>
     <div class="buttons"><button type="submit" aria-label=${`${t('settings.set')}: ${name ?? fields[0].label}`}
         disabled=${wrong}>${t('settings.set')}</button>${children}</div>
-    <${Meanwhile} one=${one} drafts=${fields} />
+    <${Meanwhile} gripper=${gripper} drafts=${fields} />
   </form>`;
 }
 
-function Settings({ one }) {
-  const acceleration = { ...useDraft(one, 'acceleration_mm_s2'), label: t('settings.acceleration'), unit: 'mm/s²' };
-  const force = { ...useDraft(one, 'force_n'), label: t('settings.force_limit'), unit: 'N' };
-  const minus = { ...useDraft(one, 'minus_mm'), label: t('settings.minus'), unit: 'mm' };
-  const plus = { ...useDraft(one, 'plus_mm'), label: t('settings.plus'), unit: 'mm' };
-  const tag = useDraft(one, 'tag', (text) => text ?? '');
+function Settings({ gripper }) {
+  const acceleration = { ...useDraft(gripper, 'acceleration_mm_s2'), label: t('settings.acceleration'), unit: 'mm/s²' };
+  const force = { ...useDraft(gripper, 'force_n'), label: t('settings.force_limit'), unit: 'N' };
+  const minus = { ...useDraft(gripper, 'minus_mm'), label: t('settings.minus'), unit: 'mm' };
+  const plus = { ...useDraft(gripper, 'plus_mm'), label: t('settings.plus'), unit: 'mm' };
+  const tag = useDraft(gripper, 'tag', (text) => text ?? '');
   const note = useSignal('');
   useEffect(() => {
-    if (!one.isThere.value) return;
-    learnSettings(one, ALL_SETTINGS).then((problem) => {
-      if (problem) one.problem.value = problem;
+    if (!gripper.isThere.value) return;
+    learnSettings(gripper, ALL_SETTINGS).then((problem) => {
+      if (problem) gripper.problem.value = problem;
     });
-  }, [one, one.isThere.value, connection.value === 'live']);
+  }, [gripper, gripper.isThere.value, connection.value === 'live']);
   const change = async (method, params) => {
     note.value = '';
-    const answer = await ask(one, method, params);
+    const answer = await ask(gripper, method, params);
     if (answer) note.value = t('settings.done');
     return answer;
   };
   const send = async (method, fields, parse) => {
-    const take = one.askingSettings();
+    const take = gripper.askingSettings();
     const answer = await change(method, Object.fromEntries(fields.map(({ key, value }) => [key, parse(value.value)])));
     if (!answer) return;
     take(answer);
     // Another client can have set a newer value.
-    const known = one.settings.peek();
+    const known = gripper.settings.peek();
     fields.forEach(({ key, value }) => {
       value.value = typeof known[key] === 'number' ? asTyped(known[key]) : (known[key] ?? '');
     });
   };
-  const hasOverdrive = one.info.value?.capabilities.includes('overdrive');
-  const isBeforeFirmware4 = Number.parseInt(one.info.value?.firmware, 10) < 4;
+  const hasOverdrive = gripper.info.value?.capabilities.includes('overdrive');
+  const isBeforeFirmware4 = Number.parseInt(gripper.info.value?.firmware, 10) < 4;
   const isTag = (isBeforeFirmware4 ? /^[ -~\u00a0-\u00ff]{0,64}$/ : /^[ -~]{0,64}$/).test(tag.value.value);
-  const width = widthLimits(one.info.value, null);
+  const width = widthLimits(gripper.info.value, null);
   const widths = (key) =>
     key === 'minus_mm'
       ? { ...width, max: Math.min(width.max, number(plus.value.value) || width.max) }
       : { ...width, min: Math.max(0, number(minus.value.value) || 0) };
   return html`<${Panel} title=${t('settings.title')} id="settings-title" class="settings-panel">
     <p class="hint">${t('settings.hint')}</p>
-    <${Setting} one=${one} id="acceleration" method="settings.acceleration" send=${send} fields=${[acceleration]}
-        limits=${() => accelerationLimits(one.info.value)} />
-    <${Setting} one=${one} id="force-limit" method="settings.force-limit" send=${send} fields=${[force]}
-        limits=${() => forceLimits(one.info.value, one.hasOverdrive.value)} />
-    <${Setting} one=${one} id="soft-limits" method="settings.soft-limits" name=${t('limits.soft')} send=${send} fields=${[minus, plus]}
+    <${Setting} gripper=${gripper} id="acceleration" method="settings.acceleration" send=${send} fields=${[acceleration]}
+        limits=${() => accelerationLimits(gripper.info.value)} />
+    <${Setting} gripper=${gripper} id="force-limit" method="settings.force-limit" send=${send} fields=${[force]}
+        limits=${() => forceLimits(gripper.info.value, gripper.hasOverdrive.value)} />
+    <${Setting} gripper=${gripper} id="soft-limits" method="settings.soft-limits" name=${t('limits.soft')} send=${send} fields=${[minus, plus]}
         limits=${widths}><button type="button" aria-label=${`${t('settings.clear')}: ${t('limits.soft')}`}
-            disabled=${one.softLimits.value.minus_mm === null}
+            disabled=${gripper.softLimits.value.minus_mm === null}
             onClick=${() => change('settings.soft-limits.clear')}>${t('settings.clear')}</button></${Setting}>
     <form class="setting" onSubmit=${(event) => {
       event.preventDefault();
@@ -174,13 +179,13 @@ function Settings({ one }) {
                   id="tag-hint">${t('settings.tag_hint')}</p></div>
       <div class="buttons"><button type="submit" aria-label=${`${t('settings.set')}: ${t('settings.tag')}`}
           disabled=${!isTag}>${t('settings.set')}</button></div>
-      <${Meanwhile} one=${one} drafts=${[tag]} />
+      <${Meanwhile} gripper=${gripper} drafts=${[tag]} />
     </form>
     <div class="buttons">
       ${
         hasOverdrive &&
-        html`<button type="button" aria-pressed=${one.hasOverdrive.value ? 'true' : 'false'}
-          onClick=${() => change('settings.overdrive.set', { enabled: !one.hasOverdrive.value })}>${t('settings.overdrive')}: ${t(one.hasOverdrive.value ? 'settings.off' : 'settings.on')}
+        html`<button type="button" aria-pressed=${gripper.hasOverdrive.value ? 'true' : 'false'}
+          onClick=${() => change('settings.overdrive.set', { enabled: !gripper.hasOverdrive.value })}>${t('settings.overdrive')}: ${t(gripper.hasOverdrive.value ? 'settings.off' : 'settings.on')}
                 </button>`
       }
       <button type="button" onClick=${() => change('tare')}>${t('settings.tare')}</button>
@@ -189,34 +194,21 @@ function Settings({ one }) {
   </${Panel}>`;
 }
 
-function Statistics({ one }) {
+function Statistics({ gripper }) {
   const [known, asking] = useNewest();
-  const isSure = useSignal(false);
   useEffect(() => {
-    read('statistics', one).then(asking(), () => {});
-  }, [one, one.changes.value, one.isThere.value, connection.value === 'live']);
+    read('statistics', gripper).then(asking(), () => {});
+  }, [gripper, gripper.changes.value, gripper.isThere.value, connection.value === 'live']);
   const figures = known.value;
   const good =
     figures && figures.total > 0 ? ((figures.total - figures.no_part - figures.lost_part) / figures.total) * 100 : null;
   const reset = async () => {
-    if (!isSure.value) {
-      isSure.value = true;
-      return;
-    }
-    isSure.value = false;
     const take = asking();
-    const answer = await ask(one, 'statistics.reset');
+    const answer = await ask(gripper, 'statistics.reset');
     if (answer) take(answer);
   };
   return html`<${Panel} title=${t('statistics.title')} id="statistics-title"
-      actions=${html`${
-        isSure.value &&
-        html`<button type="button"
-          onClick=${() => {
-            isSure.value = false;
-          }}>${t('cancel')}</button>`
-      }<button type="button"
-              onClick=${reset}>${t(isSure.value ? 'statistics.sure' : 'statistics.reset')}</button>`}>
+      actions=${html`<${ConfirmButton} id="statistics-reset" isAtEnd=${true} label=${t('statistics.reset')} sureLabel=${t('statistics.sure')} act=${reset} />`}>
     <${Facts} facts=${[
       ['statistics.total', plain(figures?.total)],
       ['statistics.no_part', plain(figures?.no_part)],
@@ -226,8 +218,9 @@ function Statistics({ one }) {
   </${Panel}>`;
 }
 
-export function Device({ one }) {
-  return html`<${Covered} one=${one}><div class="pair"><div class="column"><${About} one=${one} /><${Limits}
-      one=${one} /><${Statistics} one=${one} /><${Health} one=${one} /></div><div class="column"><${Settings}
-      one=${one} /><${FingerSet} one=${one} /><${Fingers} one=${one} /></div></div></${Covered}>`;
+export function Device({ gripper }) {
+  return html`<div class="device"><${Covered} gripper=${gripper}><div class="column"><${About} gripper=${gripper} /><${Limits}
+      gripper=${gripper} /><${Statistics} gripper=${gripper} /><${Health} gripper=${gripper} /></div><div class="column"><${Settings}
+      gripper=${gripper} /><${FingerSet} gripper=${gripper} /><${Fingers} gripper=${gripper} /></div></${Covered}>
+    <div class="column"><${Flags} gripper=${gripper} />${mayOperate(gripper.name) && html`<${Control} gripper=${gripper} />`}</div></div>`;
 }

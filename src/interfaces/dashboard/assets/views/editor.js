@@ -1,12 +1,13 @@
 // The command editor: bytes as text, their frame, and the gripper's answer.
 
 import { html, useSignal } from '../lib.js';
-import { interpretations, parse, parseId } from './bytes.js';
-import { encode, fromHex, MAX_PAYLOAD, toHex } from './frame.js';
-import { exchange } from './frames.js';
-import { compose, fieldsOf, idText, MANUAL, valuesOf } from './manual.js';
+import { interpretations, parse, parseId } from '../core/bytes_text.js';
+import { encode, fromHex, MAX_PAYLOAD, toHex } from '../core/frame.js';
+import { exchange } from '../model/frames.js';
+import { compose, fieldsOf, idText, MANUAL, valuesOf } from '../core/manual.js';
 import { t } from '../model/i18n.js';
-import { isLive, rpc } from '../model/store.js';
+import { isLive } from '../model/state.js';
+import { rpc } from '../model/wire.js';
 import { Panel, ProblemNote } from '../ui/parts.js';
 
 /** Digits of a frame that are shown. A longer one loses its middle, so that the checksum stays visible. */
@@ -72,7 +73,7 @@ function Form({ code, payload, bytes }) {
   )}</div>`;
 }
 
-export function Editor({ one }) {
+export function Editor({ gripper }) {
   const [id, payload, answer, problem] = [useSignal('0x31'), useSignal(''), useSignal(null), useSignal(null)];
   const isExact = useSignal(false);
   const code = parseId(id.value);
@@ -86,10 +87,10 @@ export function Editor({ one }) {
     event.preventDefault();
     [answer.value, problem.value] = [null, null];
     exchange.value = { id: code, sent: null, received: null };
-    const lease = one.held.peek()?.token;
+    const lease = gripper.held.peek()?.token;
     try {
       answer.value = await rpc.call('raw', {
-        gripper: one.name,
+        gripper: gripper.name,
         id: code,
         payload: toHex(bytes),
         ...(lease ? { lease } : {}),

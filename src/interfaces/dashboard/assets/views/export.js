@@ -1,5 +1,7 @@
 // Exports the journal's records as a CSV file, page after page.
 
+import { spreadsheetTable } from '../core/csv.js';
+import { language } from '../model/i18n.js';
 import { query, text } from '../net/rest.js';
 
 const PAGE = 1000;
@@ -16,8 +18,11 @@ export function save(name, content, type) {
   URL.revokeObjectURL(address);
 }
 
-/** Saves the records that match the filters, newest first. Returns their number, and whether these were all. */
-export async function download(what, filters) {
+/**
+ * Saves the records that match the filters, newest first: for a spreadsheet in the page's language, or for programs
+ * (`isPlain`) as the gateway returns them. Returns their number, and whether these were all.
+ */
+export async function download(what, filters, isPlain) {
   let content = '';
   let cursor = null;
   let pages = 0;
@@ -27,6 +32,7 @@ export async function download(what, filters) {
     cursor = page.next;
     pages += 1;
   } while (cursor && pages < MAX_PAGES);
-  save(`${filters.gripper || 'all'}-${what}.csv`, content, 'text/csv');
+  const table = isPlain ? content : spreadsheetTable(content, language.peek());
+  save(`${filters.gripper || 'all'}-${what}${isPlain ? '-plain' : ''}.csv`, table, 'text/csv');
   return { count: Math.max(0, content.trimEnd().split('\n').length - 1), isAll: !cursor };
 }

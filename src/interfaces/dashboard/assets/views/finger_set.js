@@ -5,10 +5,12 @@ import { asTyped, mistake, typedFrom } from '../core/limits.js';
 import { askFreely } from '../model/commands.js';
 import { fixed, fullDate, plain, t } from '../model/i18n.js';
 import { mayOperate } from '../model/me.js';
-import { isLive, read } from '../model/store.js';
+import { read } from '../model/reads.js';
+import { isLive } from '../model/state.js';
+import { ConfirmButton } from '../ui/confirm.js';
 import { Panel, Shape, useNewest, within } from '../ui/parts.js';
-import { NumberField } from './fields.js';
-import { Facts } from './facts.js';
+import { NumberField } from '../ui/fields.js';
+import { Facts } from '../ui/facts.js';
 
 const MAX_ID_BYTES = 48;
 /** A grip is counted a second after its end. */
@@ -19,11 +21,10 @@ const TRAVEL_M = { min: 0.01, max: 1_000_000_000, whose: 'device' };
 /** Text of a count with its unit, and with its limit if there is one. */
 const used = (text, limit, unit) => `${text}${limit === null ? '' : ` / ${plain(limit)}`}${unit}`;
 
-function Form({ one, set, asking }) {
+function Form({ gripper, set, asking }) {
   const id = useSignal(set.id ?? '');
   const cycles = useSignal(asTyped(set.maintenance_cycles));
   const travel = useSignal(asTyped(set.maintenance_travel_m));
-  const isSure = useSignal(false);
   const given = () => ({
     maintenance_cycles: typedFrom(set.maintenance_cycles, cycles.value),
     maintenance_travel_m: typedFrom(set.maintenance_travel_m, travel.value),
@@ -36,7 +37,7 @@ function Form({ one, set, asking }) {
     ].some(([value, limits]) => value !== undefined && mistake(value, limits));
   const send = async (reset) => {
     const take = asking();
-    const answer = await askFreely(one, 'finger-set.set', { id: id.peek().trim(), reset, ...given() });
+    const answer = await askFreely(gripper, 'finger-set.set', { id: id.peek().trim(), reset, ...given() });
     if (answer) take(answer);
   };
   const save = (event) => {
@@ -54,21 +55,19 @@ function Form({ one, set, asking }) {
           limits=${TRAVEL_M} isOptional=${true} whenEmpty=${t('set.no_limit')} />
     </div><div class="buttons"><button type="submit" id="finger-set-save" disabled=${isWrong}>${t('set.save')}</button>${
       set.id !== null &&
-      html`<button type="button" id="finger-set-reset" disabled=${isWrong} onClick=${() => {
-        if (isSure.peek()) send(true);
-        isSure.value = !isSure.peek();
-      }}>${t(isSure.value ? 'set.reset_sure' : 'set.reset')}</button>`
+      html`<${ConfirmButton} id="finger-set-reset" label=${t('set.reset')} sureLabel=${t('set.reset_sure')}
+          disabled=${isWrong} act=${() => send(true)} />`
     }</div><p class="hint">${t('set.hint')}</p></form>`;
 }
 
-export function FingerSet({ one }) {
+export function FingerSet({ gripper }) {
   const [known, asking] = useNewest();
   useEffect(() => {
-    const look = () => read('finger-set', one).then(asking(), () => {});
+    const look = () => read('finger-set', gripper).then(asking(), () => {});
     look();
     const timer = setTimeout(look, COUNTED_WITHIN_MS);
     return () => clearTimeout(timer);
-  }, [one, one.changes.value, isLive.value]);
+  }, [gripper, gripper.changes.value, isLive.value]);
   const set = known.value;
   if (!set) return null;
   const facts = [
@@ -82,6 +81,6 @@ export function FingerSet({ one }) {
   return html`<${Panel} title=${t('set.title')} id="finger-set-title">
     ${set.maintenance_due && html`<p class="tone-low"><${Shape} name="low" /> ${t('alarm.maintenance_due')}</p>`}
     <${Facts} facts=${facts.filter(([, value]) => value !== false)} />
-    ${mayOperate(one.name) && html`<${Form} key=${`${one.name}/${identity}`} one=${one} set=${set} asking=${asking} />`}
+    ${mayOperate(gripper.name) && html`<${Form} key=${`${gripper.name}/${identity}`} gripper=${gripper} set=${set} asking=${asking} />`}
   </${Panel}>`;
 }

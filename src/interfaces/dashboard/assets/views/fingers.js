@@ -4,9 +4,9 @@ import { html, useEffect, useSignal } from '../lib.js';
 import { fixed, t } from '../model/i18n.js';
 import { ask } from '../model/commands.js';
 import { get } from '../net/rest.js';
-import { isLive } from '../model/store.js';
-import { Facts } from './facts.js';
-import { fromHex, toHex } from './frame.js';
+import { isLive } from '../model/state.js';
+import { Facts } from '../ui/facts.js';
+import { fromHex, toHex } from '../core/frame.js';
 import { Panel, Shape } from '../ui/parts.js';
 
 const ASKED_EVERY_MS = 1000;
@@ -25,21 +25,22 @@ function dataText({ type, data }) {
   return `${toHex(bytes.slice(0, SHOWN_BYTES), ' ')}${bytes.length > SHOWN_BYTES ? ' …' : ''}`;
 }
 
-async function learn(one, finger) {
-  const path = `grippers/${one.name}/fingers/${finger}`;
+async function learn(gripper, finger) {
+  const path = `grippers/${gripper.name}/fingers/${finger}`;
   const info = await get(path);
   const { data } = info.data_bytes > 0 ? await get(`${path}/data`).catch(() => ({})) : {};
   return { ...info, data };
 }
 
-function Finger({ one, finger }) {
+function Finger({ gripper, finger }) {
   const known = useSignal(null);
   const isOn = known.value?.flags.includes('POWER_ON');
   useEffect(() => {
     let isWanted = true;
     const look = async () => {
       if (!isLive.peek() || document.hidden) return;
-      const answer = await learn(one, finger).catch(() => null);
+      // Without a link, the gateway would refuse the read.
+      const answer = gripper.isThere.peek() ? await learn(gripper, finger).catch(() => null) : null;
       if (isWanted) known.value = answer;
     };
     look();
@@ -48,7 +49,7 @@ function Finger({ one, finger }) {
       isWanted = false;
       clearInterval(timer);
     };
-  }, [one, finger]);
+  }, [gripper, finger]);
   const flags = known.value?.flags ?? [];
   return html`<div class="column" data-finger=${finger}><h3>${t('finger.number', { finger })}</h3>
     <${Facts} facts=${[
@@ -67,13 +68,13 @@ function Finger({ one, finger }) {
     ${
       known.value?.type === 'generic' &&
       html`<button type="button" aria-label=${`${t(isOn ? 'finger.off' : 'finger.on')}: ${t('finger.number', { finger })}`}
-        onClick=${() => ask(one, 'fingers.power', { finger, enabled: !isOn })}>${t(isOn ? 'finger.off' : 'finger.on')}</button>`
+        onClick=${() => ask(gripper, 'fingers.power', { finger, enabled: !isOn })}>${t(isOn ? 'finger.off' : 'finger.on')}</button>`
     }</div>`;
 }
 
-export function Fingers({ one }) {
-  if (!one.info.value?.capabilities.includes('fingers')) return null;
+export function Fingers({ gripper }) {
+  if (!gripper.info.value?.capabilities.includes('fingers')) return null;
   return html`<${Panel} title=${t('finger.title')} id="fingers-title"><div class="pair">${FINGERS.map(
-    (finger) => html`<${Finger} key=${`${one.name}/${finger}`} one=${one} finger=${finger} />`,
+    (finger) => html`<${Finger} key=${`${gripper.name}/${finger}`} gripper=${gripper} finger=${finger} />`,
   )}</div></${Panel}>`;
 }

@@ -31,8 +31,8 @@ const WAYS = [
   'M350 175h-40',
 ];
 
-export function StateMachine({ one }) {
-  const current = one.latchId.value ? 'ERROR' : one.gripperState.value;
+export function StateMachine({ gripper }) {
+  const current = gripper.latchId.value ? 'ERROR' : gripper.gripperState.value;
   return html`<svg class="machine" viewBox="0 0 490 200" role="img" aria-label=${t('machine.label', {
     state: t(`state.${current ?? 'unknown'}`),
   })}>
@@ -60,21 +60,21 @@ function Flag({ flag, raw }) {
             class="visually-hidden">${t(text)}</span></li>`;
 }
 
-export function Flags({ one }) {
-  const raw = one.flags.value;
+export function Flags({ gripper }) {
+  const raw = gripper.flags.value;
   return html`<${Panel} title=${t('flags.title')} id="flags-title" class="flags-panel"
       actions=${
         raw !== null &&
-        !whyOld(one) &&
+        !whyOld(gripper) &&
         html`<code class="muted small">0x${raw.toString(16).padStart(8, '0')}
         </code>`
       }>
-    <${Covered} one=${one}>
+    <${Covered} gripper=${gripper}>
       ${['state', 'flags'].map((name) => {
-        const why = unknownText(one.state.value, name);
+        const why = unknownText(gripper.state.value, name);
         return why && html`<p class="small" key=${name}>${why}</p>`;
       })}
-      <${StateMachine} one=${one} />
+      <${StateMachine} gripper=${gripper} />
       <ul class="flags">${FLAGS.filter(({ name, bit }) => name || isSet(raw, bit)).map(
         (flag) => html`<${Flag}
           key=${flag.bit} flag=${flag} raw=${raw} />`,

@@ -2,9 +2,9 @@
 
 import { html, useEffect } from '../lib.js';
 import { fixed, plain, span, t } from '../model/i18n.js';
-import { now } from '../model/store.js';
-import { metrics, samplesOf, figureOf, watchMetrics } from './metrics.js';
-import { Facts } from './facts.js';
+import { now } from '../model/state.js';
+import { metrics, samplesOf, figureOf, watchMetrics } from '../model/metrics.js';
+import { Facts } from '../ui/facts.js';
 import { Panel } from '../ui/parts.js';
 
 /** Growth of a counter between the newest two polls, or null. */
@@ -30,14 +30,14 @@ function roundTripMs(gripper) {
   return all ? (figureOf(newest, `${name}_sum`, gripper) / all) * 1000 : null;
 }
 
-export function Health({ one }) {
+export function Health({ gripper }) {
   useEffect(watchMetrics, []);
   const { newest } = metrics.value;
-  const count = (name) => plain(figureOf(newest, name, one.name));
+  const count = (name) => plain(figureOf(newest, name, gripper.name));
   const [gateway] = samplesOf(newest, 'wsg_build_info');
   const [started] = samplesOf(newest, 'process_start_time_seconds');
-  const rate = updateRate(one.name);
-  const trip = roundTripMs(one.name);
+  const rate = updateRate(gripper.name);
+  const trip = roundTripMs(gripper.name);
   return html`<${Panel} title=${t('health.title')} id="health-title"><${Facts} facts=${[
     ['health.updates', rate === null ? '–' : t('health.per_second', { count: fixed(rate, 0) })],
     ['health.round_trip', trip === null ? '–' : `${fixed(trip, 2)} ms`],

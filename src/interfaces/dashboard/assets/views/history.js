@@ -1,21 +1,26 @@
 // History of events and motions, from the journal.
 
 import { html, useEffect, useMemo, useRef, useSignal } from '../lib.js';
+import { gatewayNow } from '../core/clock.js';
 import { ordered } from '../core/newest.js';
-import { fullDate, t } from '../model/i18n.js';
+import { instant, LATEST } from '../core/times.js';
+import { breakable, fullDate, t } from '../model/i18n.js';
 import { download } from './export.js';
 import { get, query } from '../net/rest.js';
+import { evaluate } from '../model/evaluation.js';
 import { journalChanges } from '../model/journal.js';
-import { grippers, isLive } from '../model/store.js';
-import { Curve, MAX_CURVES } from './curve.js';
-import { evaluate, Numbers } from './numbers.js';
+import { grippers, isLive } from '../model/state.js';
+import { Curve } from './curve.js';
+import { MAX_LINES } from '../ui/plot.js';
+import { Numbers } from './numbers.js';
+import { Ranges } from './ranges.js';
 import { PartReport } from './part.js';
 import { Events, Grips } from './tables.js';
-import { Choice, Covered, MAX_PART_BYTES, Panel, ProblemNote, within } from '../ui/parts.js';
+import { Choice, Covered, MAX_PART_BYTES, Panel, ProblemNote, Shape, within } from '../ui/parts.js';
 
 const PAGE = 50;
-/** On a phone, the filters are folded, so that the records are in view. */
-const IS_WIDE = matchMedia('(min-width: 761px)').matches;
+/** On a phone and a tablet, the filters are folded, so that the records are in view. */
+const IS_WIDE = matchMedia('(min-width: 1200px)').matches;
 const KINDS = {
   events: [
     'command',
@@ -60,12 +65,10 @@ function Select({ id, label, options, value: chosen, word }) {
 /** Field for a local time. Empty means no limit. */
 function Time({ id, value }) {
   return html`<div class="field"><label for=${id}>${t(`history.${id}`)}</label><input id=${id} type="datetime-local"
-      value=${value.value} onChange=${({ currentTarget }) => {
+      max=${LATEST} value=${value.value} onChange=${({ currentTarget }) => {
         value.value = currentTarget.value;
       }} /></div>`;
 }
-
-const instant = (local) => (local === '' ? '' : new Date(local).toISOString());
 
 /** Filters as a text, for the printed report. */
 function filterText({ kind, outcome, part_prefix: part, from, to }, what) {
@@ -80,22 +83,24 @@ function filterText({ kind, outcome, part_prefix: part, from, to }, what) {
     .join(', ');
 }
 
-export function History({ one }) {
+export function History({ gripper }) {
   const [what, kind, part, outcome] = [useSignal('grips'), useSignal(''), useSignal(''), useSignal('')];
   const [from, to, isOfAll] = [useSignal(''), useSignal(''), useSignal(false)];
+  const range = useSignal(null);
   const [list, next, problem, note] = [useSignal([]), useSignal(null), useSignal(null), useSignal('')];
   const [picked, compares] = [useSignal([]), useSignal(false)];
   const [numbers, shownPart] = [useSignal(null), useSignal(undefined)];
   // Without a kind, the gateway would list only grips.
   const kinds = kind.value || (what.value === 'grips' ? 'all' : '');
   const asked = {
-    gripper: isOfAll.value ? '' : one.name,
+    gripper: isOfAll.value ? '' : gripper.name,
     kind: kinds,
     part_prefix: part.value.trim(),
     outcome: outcome.value,
     from: instant(from.value),
     to: instant(to.value),
   };
+  const isWrongTime = asked.from === null || asked.to === null;
   const shown = what.value;
   const address = `${shown}?${query(asked)}`;
   const asking = useMemo(ordered, []);
@@ -136,7 +141,7 @@ export function History({ one }) {
     numbers.value = null;
   }, [address]);
   useEffect(() => {
-    if (isLive.peek() && !isKept()) load();
+    if (isLive.peek() && !isKept() && !isWrongTime) load();
   }, [address, journalChanges.value, isLive.value]);
   const choose = (name) => {
     what.value = name;
@@ -148,7 +153,7 @@ export function History({ one }) {
     const others = picked.peek().filter(({ id }) => id !== grip.id);
     if (!compares.peek()) picked.value = [grip];
     else if (others.length < picked.peek().length) picked.value = others;
-    else picked.value = [...others, grip].slice(-MAX_CURVES);
+    else picked.value = [...others, grip].slice(-MAX_LINES);
   };
   const attempt = async (act) => {
     try {
@@ -157,9 +162,9 @@ export function History({ one }) {
       problem.value = refused;
     }
   };
-  const save = () =>
+  const save = (isPlain) =>
     attempt(async () => {
-      const { count, isAll } = await download(what.peek(), asked);
+      const { count, isAll } = await download(what.peek(), asked, isPlain);
       note.value = t(isAll ? 'history.exported' : 'history.bounded', { count });
     });
   const count = () =>
@@ -167,7 +172,7 @@ export function History({ one }) {
       numbers.value = await evaluate(asked);
     });
   const actions = html`<${Choice} label=${t('history.what')} name="records" value=${what.value} onChange=${choose}
-      options=${['grips', 'events'].map((name) => [name, t(`history.${name}`)])} />${
+      options=${['grips', 'events'].map((name) => [name, t(`history.${name}`)])} /><${Ranges} from=${from} to=${to} chosen=${range} />${
         grippers.value.length > 1 &&
         html`<button type="button" id="of-all" class="quiet" aria-pressed=${isOfAll.value ? 'true' : 'false'}
           onClick=${() => {
@@ -175,12 +180,13 @@ export function History({ one }) {
           }}>${t('all.title')}</button>`
       }<button type="button" id="evaluate" onClick=${count}>${t('numbers.title')}</button><button type="button"
           id="print" onClick=${() => print()}>${t('history.print')}</button><button type="button" id="export"
-          onClick=${save}>${t('history.export')}</button>`;
+          onClick=${() => save(false)}>${t('history.export')}</button><button type="button" id="export-plain"
+          class="quiet" onClick=${() => save(true)}>${t('history.export_plain')}</button>`;
   const isGrips = what.value === 'grips';
   const reported = isGrips && numbers.value?.parts.find(({ part: id }) => id !== null && id === shownPart.value);
-  return html`<${Panel} title=${`${t('nav.history')}: ${isOfAll.value ? t('all.title') : one.name}`} id="history-title"
+  return html`<${Panel} title=${`${t('nav.history')}: ${isOfAll.value ? t('all.title') : breakable(gripper.name)}`} id="history-title"
       class="report" actions=${actions}>
-    <p class="printed">${fullDate(Date.now())} ${filterText({ ...asked, kind: kind.value }, what.value)}</p>
+    <p class="printed">${fullDate(gatewayNow())} ${filterText({ ...asked, kind: kind.value }, what.value)}</p>
     <details class="more filters-place" open=${IS_WIDE}><summary>${t('history.filters')}</summary><div class="filters">
       <${Select} id="kind" label=${t('history.kind')} options=${KINDS[what.value]} value=${kind}
           word=${isGrips ? 'command' : 'kind'} />
@@ -192,6 +198,7 @@ export function History({ one }) {
       <${Time} id="from" value=${from} /><${Time} id="to" value=${to} />
       <span class="small" role="status">${note.value}</span>
     </div></details>
+    ${isWrongTime && html`<p class="problem" role="alert"><${Shape} name="high" /> ${t('history.wrong_time')}</p>`}
     <${ProblemNote} problem=${problem} />
     <${Covered}>${numbers.value && html`<${Numbers} numbers=${numbers.value} shown=${shownPart} />`}${
       reported &&

@@ -10,11 +10,11 @@ const STEPS_MM = [0.1, 1, 5];
 /** Speed of jogging, unless the field's is lower. */
 const JOG_MM_S = 25;
 
-function HoldButton({ id, label, jog, one, direction, speed, limits, disabled }) {
+function HoldButton({ id, label, jog, gripper, direction, speed, limits, disabled }) {
   const begin = (event) => {
     if (disabled || (event.type === 'pointerdown' && event.button !== 0)) return;
     if (event.type === 'pointerdown') event.currentTarget.setPointerCapture(event.pointerId);
-    jog.begin(one, direction, speed, limits);
+    jog.begin(gripper, direction, speed, limits);
   };
   const end = () => jog.end();
   // A disabled button sends no event when it is released.
@@ -39,8 +39,8 @@ function HoldButton({ id, label, jog, one, direction, speed, limits, disabled })
     }}>${label}</button>`;
 }
 
-export function JogPanel({ one, speed, limits, reason }) {
-  const jog = useMemo(() => new Jog(), [one]);
+export function JogPanel({ gripper, speed, limits, reason }) {
+  const jog = useMemo(() => new Jog(), [gripper]);
   useEffect(() => {
     const end = () => jog.end();
     const hidden = () => {
@@ -55,7 +55,7 @@ export function JogPanel({ one, speed, limits, reason }) {
       removeEventListener('pagehide', end);
       document.removeEventListener('visibilitychange', hidden);
     };
-  }, [jog, one]);
+  }, [jog, gripper]);
   const given = number(speed.value);
   const { min, max } = limits.speed.value;
   const pace = Math.min(max, Math.max(min, mistake(given, limits.speed.value) ? JOG_MM_S : Math.min(given, JOG_MM_S)));
@@ -64,15 +64,15 @@ export function JogPanel({ one, speed, limits, reason }) {
   const isOff = reason !== null && reason !== 'why.running';
   const canStep = (by) =>
     reason === null &&
-    one.width.value !== null &&
-    !mistake(Math.min(widths.max, Math.max(widths.min, one.width.value)) + by, widths);
-  const step = (by) => move(one, 'move', { width_mm: by, relative: true, speed_mm_s: pace });
+    gripper.width.value !== null &&
+    !mistake(Math.min(widths.max, Math.max(widths.min, gripper.width.value)) + by, widths);
+  const step = (by) => move(gripper, 'move', { width_mm: by, relative: true, speed_mm_s: pace });
   return html`<div class="jog" role="group" aria-label=${t('jog.title')}>
     <div class="holds">
       <${HoldButton} id="jog-close" label=${html`<span aria-hidden="true">\u25b6\u25c0</span> ${t('jog.close')}`}
-          jog=${jog} one=${one} direction=${-1} speed=${pace} limits=${widths} disabled=${isOff} />
+          jog=${jog} gripper=${gripper} direction=${-1} speed=${pace} limits=${widths} disabled=${isOff} />
       <${HoldButton} id="jog-open" label=${html`<span aria-hidden="true">\u25c0\u25b6</span> ${t('jog.open')}`}
-          jog=${jog} one=${one} direction=${1} speed=${pace} limits=${widths} disabled=${isOff} />
+          jog=${jog} gripper=${gripper} direction=${1} speed=${pace} limits=${widths} disabled=${isOff} />
     </div>
     <div class="steps">
       ${[...STEPS_MM].reverse().map(

@@ -1,15 +1,13 @@
-// A latched FAST STOP replaces the controls: origin, cause and time, what to check, and a button to acknowledge.
+// A latched FAST STOP replaces the recipes and the controls: origin, cause and time, what to check, and a button to acknowledge.
 
 import { html, useEffect, useSignal } from '../lib.js';
 import { span, t, time } from '../model/i18n.js';
+import { SEEN_AFTER_MS, shortId } from '../core/ids.js';
 import { nameIn, person } from '../core/people.js';
 import { acknowledge } from '../model/commands.js';
 import { myName } from '../model/name.js';
-import { now } from '../model/store.js';
-import { Shape } from '../ui/parts.js';
-
-/** Delay before a new FAST STOP can be acknowledged, so that a tap meant for an older one does not clear it. */
-export const SEEN_AFTER_MS = 800;
+import { now } from '../model/state.js';
+import { Covered, Shape } from '../ui/parts.js';
 
 const CHECKS = {
   requested: ['hands', 'area', 'reason'],
@@ -29,11 +27,8 @@ function whoText(by, reason) {
   return nameIn(reason) === myName.value ? t('latch.you', { who }) : who;
 }
 
-/** End of an id, short enough to read aloud. */
-export const shortId = (id) => id.slice(-4);
-
-export function Latch({ one }) {
-  const state = one.state.value;
+export function Latch({ gripper }) {
+  const state = gripper.state.value;
   const {
     fast_stop_id: id,
     fast_stop_by: by,
@@ -49,18 +44,18 @@ export function Latch({ one }) {
     }, SEEN_AFTER_MS);
     return () => clearTimeout(timer);
   }, [id]);
-  return html`<div class="latch" role="group" aria-labelledby="latch-title">
-    <h3 id="latch-title"><${Shape} name="critical" /> ${t('latch.title')} <code>…${shortId(id)}</code></h3>
+  return html`<section class="panel latch" aria-labelledby="latch-title"><${Covered} gripper=${gripper}>
+    <h2 id="latch-title" tabindex="-1"><${Shape} name="critical" /> ${t('latch.title')} <code>…${shortId(id)}</code></h2>
     <dl class="facts">
       <div><dt>${t('latch.by')}</dt><dd id="latch-by">${whoText(by, reason)}</dd></div>
       <div><dt>${t('latch.cause')}</dt><dd>${t(`cause.${cause}`)}${reason && html`<br /><q>${reason}</q>`}</dd></div>
       <div><dt>${t('latch.at')}</dt><dd>${time(at)} (${t('ago', { span: span(now.value - Date.parse(at)) })})</dd></div>
       <div><dt>${t('latch.device_says')}</dt><dd>${t(isConfirmed ? 'latch.confirmed' : 'latch.unconfirmed')}</dd></div>
     </dl>
-    <h4>${t('latch.check')}</h4>
+    <h3>${t('latch.check')}</h3>
     <ul>${(CHECKS[cause] ?? CHECKS.unknown).map((check) => html`<li key=${check}>${t(`check.${check}`)}</li>`)}</ul>
     <button type="button" id="acknowledge" class="primary" disabled=${seen.value !== id || !isConfirmed}
-        onClick=${() => acknowledge(one, id)}>${t('latch.acknowledge', { id: `…${shortId(id)}` })}</button>
+        onClick=${() => acknowledge(gripper, id)}>${t('latch.acknowledge', { id: `…${shortId(id)}` })}</button>
     <p class="hint">${t('latch.hint')}</p>
-  </div>`;
+  </${Covered}></section>`;
 }

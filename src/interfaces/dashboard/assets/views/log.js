@@ -1,11 +1,11 @@
 // The communication log: decoded frames, their bytes on demand, and a command editor.
 
 import { html, signal, useEffect, useRef, useSignal } from '../lib.js';
-import { interpretations, parseId } from './bytes.js';
+import { interpretations, parseId } from '../core/bytes_text.js';
 import { save } from './export.js';
-import { fromHex, toHex } from './frame.js';
-import { t } from '../model/i18n.js';
-import { clear, follow, frames, hasUpdates, isPaused } from './frames.js';
+import { fromHex, toHex } from '../core/frame.js';
+import { breakable, t } from '../model/i18n.js';
+import { clear, follow, frames, hasUpdates, isPaused } from '../model/frames.js';
 import { Editor } from './editor.js';
 import { Choice, Covered, Panel } from '../ui/parts.js';
 
@@ -125,12 +125,12 @@ export function Bytes({ bytes }) {
     }`;
 }
 
-export function Log({ one }) {
+export function Log({ gripper }) {
   const picked = useSignal(null);
   const withHex = useSignal(false);
   const note = useSignal('');
   const place = useRef(null);
-  useEffect(() => follow(one.name), [one]);
+  useEffect(() => follow(gripper.name), [gripper]);
   const rows = shownRows();
   const isAtEnd =
     place.current === null || place.current.scrollHeight - place.current.scrollTop - place.current.clientHeight < 40;
@@ -152,9 +152,9 @@ export function Log({ one }) {
             await copy(asText(rows));
             note.value = t('log.copied', { count: rows.length });
           }}>${t('log.copy')}</button><button type="button" id="save-log" class="quiet" onClick=${() =>
-            save(`${one.name}-frames.txt`, asText(rows), 'text/plain')}>${t('log.save')}</button>`;
+            save(`${gripper.name}-frames.txt`, asText(rows), 'text/plain')}>${t('log.save')}</button>`;
   return html`<div class="split">
-    <${Panel} title=${`${t('log.title')}: ${one.name}`} id="log-title" actions=${actions}>
+    <${Panel} title=${`${t('log.title')}: ${breakable(gripper.name)}`} id="log-title" actions=${actions}>
       <div class="filters">
         <div class="field"><label for="log-filter">${t('log.filter')}</label><input id="log-filter" type="search"
             placeholder=${t('log.filter_hint')} value=${filter.value} onInput=${({ currentTarget }) => {
@@ -165,7 +165,7 @@ export function Log({ one }) {
         }} options=${['', 'sent', 'received'].map((kind) => [kind, t(`log.only_${kind || 'both'}`)])} />
         <span class="small" role="status">${note.value}</span>
       </div>
-      <${Covered} one=${one}><div class="frames" ref=${place} tabindex="0" role="region" aria-label=${t('log.title')}>
+      <${Covered} gripper=${gripper}><div class="frames" ref=${place} tabindex="0" role="region" aria-label=${t('log.title')}>
         ${
           rows.length === 0
             ? html`<p class="muted nothing">${t(frames.value.length === 0 ? 'log.none' : 'log.none_fits')}
@@ -186,7 +186,7 @@ export function Log({ one }) {
             : html`<p class="muted">${t('log.pick')}</p>`
         }
       </${Panel}>
-      <${Editor} one=${one} />
+      <${Editor} gripper=${gripper} />
     </div>
   </div>`;
 }

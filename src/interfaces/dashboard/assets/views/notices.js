@@ -1,20 +1,28 @@
-// Notices below the bar, in every view: requests for control, loss of control, a reservation, refusals, and the worst
-// alarm.
+// Notices of the strip, in every view: requests for control, loss of control, a reservation, refusals, the worst alarm,
+// and the next step.
 
-import { html, signal, useEffect, useRef } from '../lib.js';
-import { isActive, isOpen, sorted } from '../core/alarms.js';
-import { alarmName } from './alarm.js';
-import { Force } from './force.js';
-import { noteMove } from './shield.js';
+import { html, signal } from '../lib.js';
+import { isActive, isOpen, PRIORITIES, sorted } from '../core/alarms.js';
+import { alarmName, showAlarm } from '../ui/alarm.js';
+import { ConfirmButton } from '../ui/confirm.js';
+import { whyOld } from '../ui/parts.js';
+import { addNotices } from '../ui/strip.js';
+import '../ui/shield.js';
 import './title.js';
 import { alarms } from '../model/alarms.js';
 import { handOver, takeControl } from '../model/commands.js';
-import { ofProblem, t } from '../model/i18n.js';
-import { myName } from '../model/name.js';
-import { gripper, grippers, isLive, view } from '../model/store.js';
-import { Shape } from '../ui/parts.js';
+import { breakable, ofProblem, t } from '../model/i18n.js';
+import { mayOperate } from '../model/me.js';
+import { isUnnamed, holderName } from '../model/name.js';
+import { stepOf } from '../model/steps.js';
+import { shownGripper, grippers, isLive, view } from '../model/state.js';
+import { isOld } from '../model/version.js';
+import { go } from '../ui/route.js';
 
 const MAX_CLOSED = 50;
+
+/** Ranks of notices below those of FAST STOPs. */
+const RANK = { refused: 20, lost: 30, asked: 40, critical: 50, high: 60, reserved: 70, low: 80, old: 85, next: 90 };
 
 /** Keys of notices that the user closed. */
 const closed = signal([]);
@@ -23,108 +31,160 @@ const close = (key) => {
   closed.value = [...closed.peek(), key].slice(-MAX_CLOSED);
 };
 
-const askedKey = (one, name) => `${one.name}/asked/${one.lease.value.epoch}/${name}`;
-
-/** Name of the client that asks this page for control, unless the user has closed the notice; null for none. */
-export function asks(one) {
-  const name = one.isMine.value ? one.lease.value?.requested_by : null;
-  return name && !closed.value.includes(askedKey(one, name)) ? name : null;
-}
-
-function Notice({ kind, tone = 'tone-high', shape = 'high', role = 'status', text, detail = '', children }) {
-  return html`<div class=${`notice ${tone}`} data-notice=${kind} role=${role}><${Shape} name=${shape} />
-    <p>${text}${detail && html` <span class="small" lang="en">${detail}</span>`}</p>
-    <div class="buttons">${children}</div></div>`;
-}
-
-function Close({ label, name, onClick }) {
-  return html`<button type="button" class="quiet" aria-label=${`${label}: ${name}`} onClick=${onClick}>${label}</button>`;
-}
-
-function Asked({ one }) {
-  const name = asks(one);
-  if (!name) return null;
-  return html`<${Notice} kind="asked" text=${t('notice.asked', { name, gripper: one.name })}>
-    <button type="button" id="hand-over" class="primary" aria-label=${t('notice.hand_over_of', {
-      name,
-      gripper: one.name,
-    })} onClick=${() => handOver(one, name)}>${t('notice.hand_over')}</button>
-    <${Close} label=${t('notice.not_now')} name=${`${name}, ${one.name}`}
-        onClick=${() => close(askedKey(one, name))} /></${Notice}>`;
-}
-
-function Lost({ one }) {
-  const lost = one.lostControl.value;
-  if (!lost) return null;
-  return html`<${Notice} kind="lost" role="alert" text=${t(`notice.${lost.how}`, {
-    name: lost.by ?? '',
-    gripper: one.name,
-  })}>
-    <${Close} label=${t('close')} name=${one.name} onClick=${() => {
-      one.lostControl.value = null;
-    }} /></${Notice}>`;
-}
-
-function Reserved({ one }) {
-  const name = one.reservedFor.value;
-  const key = `${one.name}/reserved/${one.lease.value?.epoch}`;
+function asked(gripper) {
+  const name = gripper.isMine.value ? gripper.lease.value?.requested_by : null;
+  const key = `${gripper.name}/asked/${gripper.lease.value?.epoch}/${name}`;
   if (!name || closed.value.includes(key)) return null;
-  return html`<${Notice} kind="reserved" text=${t('notice.reserved', { name, gripper: one.name })}>
-    ${
-      name === myName.value
-        ? html`<button type="button" class="primary" aria-label=${`${t('control.take')}: ${one.name}`}
-            onClick=${() => takeControl(one)}>${t('control.take')}</button>`
-        : html`<${Force} one=${one} place="notice-" of=${`: ${one.name}`} />`
-    }
-    <${Close} label=${t('notice.not_now')} name=${one.name} onClick=${() => close(key)} /></${Notice}>`;
+  return {
+    key,
+    rank: RANK.asked,
+    kind: 'asked',
+    tone: 'tone-high',
+    shape: 'high',
+    text: t('notice.asked', { name, gripper: gripper.name }),
+    buttons: html`<button type="button" id="hand-over" class="primary" aria-label=${t('notice.hand_over_of', {
+      name,
+      gripper: gripper.name,
+    })} onClick=${() => handOver(gripper, name)}>${t('notice.hand_over')}</button>`,
+    close: () => close(key),
+    closeLabel: t('notice.not_now'),
+    closeName: `${name}, ${gripper.name}`,
+  };
 }
 
-function Refused({ one }) {
-  const problem = one.problem.value;
+function lost(gripper) {
+  const how = gripper.lostControl.value;
+  if (!how) return null;
+  return {
+    key: `${gripper.name}/lost`,
+    rank: RANK.lost,
+    kind: 'lost',
+    tone: 'tone-high',
+    shape: 'high',
+    role: 'alert',
+    text: t(`notice.${how.how}`, { name: how.by ?? '', gripper: gripper.name }),
+    close: () => {
+      gripper.lostControl.value = null;
+    },
+    closeLabel: t('close'),
+    closeName: gripper.name,
+  };
+}
+
+function refused(gripper) {
+  const problem = gripper.problem.value;
   if (!problem) return null;
-  return html`<${Notice} kind="problem" role="alert" tone="problem" text=${`${one.name}: ${ofProblem(problem)}`}
-      detail=${problem.detail}>
-    <${Close} label=${t('close')} name=${`${t('notice.refusal')}, ${one.name}`} onClick=${() => {
-      one.problem.value = null;
-    }} /></${Notice}>`;
+  return {
+    key: `${gripper.name}/problem/${problem.code}`,
+    rank: RANK.refused,
+    kind: 'problem',
+    tone: 'problem',
+    shape: 'high',
+    role: 'alert',
+    text: `${breakable(gripper.name)}: ${ofProblem(problem)}`,
+    title: problem.detail,
+    close: () => {
+      gripper.problem.value = null;
+    },
+    closeLabel: t('close'),
+    closeName: `${t('notice.refusal')}, ${gripper.name}`,
+  };
 }
 
-/** Whether the view already shows the alarm elsewhere: a lost connection, a FAST STOP, unknown values, or a reservation. */
+function reserved(gripper) {
+  const name = gripper.reservedFor.value;
+  const isMine = name !== null && name === holderName.value;
+  const key = `${gripper.name}/reserved/${gripper.lease.value?.epoch}`;
+  if (!name || closed.value.includes(key)) return null;
+  return {
+    key,
+    rank: RANK.reserved,
+    kind: 'reserved',
+    tone: 'tone-high',
+    shape: 'high',
+    text: t(isMine ? 'notice.reserved_mine' : 'notice.reserved', { name, gripper: gripper.name }),
+    buttons: isMine
+      ? html`<button type="button" id="take-back" class="primary" aria-label=${`${t('control.take_back')}: ${gripper.name}`}
+            onClick=${() => takeControl(gripper)}>${t('control.take_back')}</button>`
+      : html`<${ConfirmButton} id="notice-force-control" isAtEnd=${true} label=${t('control.force')} sureLabel=${t('control.force_sure')}
+            of=${`: ${gripper.name}`} topic=${`${gripper.name}/${gripper.state.value?.lease_epoch}`}
+            act=${() => takeControl(gripper, { force: true })} />`,
+    close: () => close(key),
+    closeLabel: t('notice.not_now'),
+    closeName: gripper.name,
+  };
+}
+
+/** Whether the view already shows the alarm: a lost link or part, a FAST STOP, unknown values, or a reservation. */
 function isShown({ alarm, gripper: name }) {
   if (alarm === 'no_gateway') return true;
-  if (name !== gripper.value?.name) return false;
-  const ofView = ['fast_stop', 'not_reached', 'link_down', 'link_released', 'value_unknown'];
+  if (name !== shownGripper.value?.name) return false;
+  const ofView = ['fast_stop', 'part_lost', 'not_reached', 'link_down', 'link_released', 'value_unknown'];
   return alarm === 'holder_lost' || (view.value === 'operate' && ofView.includes(alarm));
 }
 
-function Worst() {
+function worstAlarm() {
   const open = sorted(alarms.value).filter((alarm) => isOpen(alarm) && isActive(alarm) && !isShown(alarm));
-  if (open.length === 0) return null;
+  if (open.length === 0) return [];
   const [worst] = open;
-  return html`<${Notice} kind="alarm" tone=${`tone-${worst.priority}`} shape=${worst.priority}
-    text=${open.length === 1 ? alarmName(worst) : t('notice.more', { alarm: alarmName(worst), count: open.length - 1 })} />`;
+  return [
+    {
+      key: `alarm/${worst.id}/${open.length}`,
+      rank: RANK[worst.priority] ?? RANK.low,
+      kind: 'alarm',
+      tone: `tone-${worst.priority}`,
+      shape: PRIORITIES.includes(worst.priority) ? worst.priority : 'low',
+      text:
+        open.length === 1 ? alarmName(worst) : t('notice.more', { alarm: alarmName(worst), count: open.length - 1 }),
+      buttons: html`<button type="button" id="show-worst" aria-label=${`${t('notice.show')}: ${alarmName(worst)}`}
+          onClick=${() => showAlarm(worst)}>${t('notice.show')}</button>`,
+    },
+  ];
 }
 
-export function Notices() {
-  const place = useRef(null);
-  useEffect(() => {
-    let isFirst = true;
-    const resized = new ResizeObserver(() => {
-      if (!isFirst) noteMove(place.current);
-      isFirst = false;
-    });
-    resized.observe(place.current);
-    return () => resized.disconnect();
-  }, []);
-  return html`<section class="notices" ref=${place} aria-label=${t('notice.label')}>
-    ${
-      isLive.value &&
-      grippers.value.map(
-        (one) => html`<${Asked} key=${`${one.name}-asked`} one=${one} /><${Lost} key=${`${one.name}-lost`}
-            one=${one} /><${Refused} key=${`${one.name}-refused`} one=${one} />`,
-      )
-    }
-    ${isLive.value && gripper.value && html`<${Reserved} one=${gripper.value} />`}
-    <${Worst} />
-  </section>`;
+function newer() {
+  if (!isOld.value) return [];
+  return [
+    {
+      key: 'newer',
+      rank: RANK.old,
+      kind: 'newer',
+      shape: 'low',
+      text: t('newer'),
+      buttons: html`<button type="button" onClick=${() => location.reload()}>${t('reload')}</button>`,
+    },
+  ];
 }
+
+/** Buttons that lead to the next step. Motions begin only with the buttons beside the jaws. */
+function nextButtons(gripper) {
+  if (view.value === 'operate') return null;
+  return html`<button type="button" id="to-operate" aria-label=${`${t('nav.operate')}: ${gripper.name}`} onClick=${() => go('operate')}>${t('nav.operate')}</button>`;
+}
+
+function next(gripper) {
+  const step = mayOperate(gripper.name) ? stepOf(gripper) : 'watch';
+  const old = whyOld(gripper);
+  const text =
+    step === 'wait'
+      ? (old?.text ?? t('stale.connecting'))
+      : t(`next.${step === 'take' && isUnnamed.value ? 'take_named' : step}`, {
+          holder: gripper.holder.value ?? '',
+          name: gripper.reservedFor.value ?? '',
+        });
+  return {
+    key: `next/${gripper.name}/${step}`,
+    rank: RANK.next,
+    kind: 'next',
+    shape: { acknowledge: 'critical', wait: 'high', running: 'moving' }[step] ?? 'next',
+    text: grippers.value.length > 1 ? `${breakable(gripper.name)}: ${text}` : text,
+    buttons: nextButtons(gripper),
+  };
+}
+
+addNotices(() => {
+  const gripper = shownGripper.value;
+  const ofAll = isLive.value ? grippers.value.flatMap((each) => [refused(each), lost(each), asked(each)]) : [];
+  const ofShown = gripper ? [isLive.value ? reserved(gripper) : null, next(gripper)] : [];
+  return [...ofAll, ...worstAlarm(), ...newer(), ...ofShown].filter(Boolean);
+});

@@ -3,10 +3,9 @@
 import { html, useEffect, useMemo, useRef, useSignal } from '../lib.js';
 import { fixed, moment, plain, t } from '../model/i18n.js';
 import { get, query } from '../net/rest.js';
-import { MAX_CURVES } from './curve.js';
-import { Facts } from './facts.js';
-import { fit, Line, looks, plot } from './plot.js';
-import { averages, histogram } from './statistics.js';
+import { Facts } from '../ui/facts.js';
+import { fit, Line, looks, MAX_LINES, plot } from '../ui/plot.js';
+import { averages, histogram } from '../core/statistics.js';
 
 /** Size of the histogram in units of its view box. */
 const [WIDTH, HEIGHT] = [400, 120];
@@ -99,7 +98,7 @@ export function PartReport({ part: { part, grips }, filters: { gripper, from, to
   const limits = [known?.accept_min_mm ?? null, known?.accept_max_mm ?? null];
   return html`<section class="part-report" aria-label=${`${t('part.title')}: ${part}`}>
     <div class="panel-head"><h3>${t('part.title')}: ${part}</h3><div class="panel-actions"><button type="button"
-        id="part-curves" onClick=${() => onCurves(grips.slice(0, MAX_CURVES))}>${t('part.curves')}</button></div></div>
+        id="part-curves" onClick=${() => onCurves(grips.slice(0, MAX_LINES))}>${t('part.curves')}</button></div></div>
     ${
       measured.length === 0
         ? html`<p class="muted">${t('part.none')}</p>`

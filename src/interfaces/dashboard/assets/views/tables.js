@@ -1,9 +1,10 @@
 // Tables of the history: events in words, and motions.
 
 import { html } from '../lib.js';
+import { isJog, isJogDone } from '../core/jogs.js';
 import { nameIn, person } from '../core/people.js';
-import { kindText } from './alarm.js';
-import { details, sentence } from './sentence.js';
+import { alarmName } from '../ui/alarm.js';
+import { details, sentence } from '../core/sentence.js';
 import { fixed, moment, ofProblem, plain, t } from '../model/i18n.js';
 import { valueNames } from '../ui/unknown.js';
 
@@ -16,25 +17,24 @@ const MOTIONS = ['home', 'move', 'grip', 'release', 'stop'];
 const WORDS = {
   direction: (given) => t(`direction.${given}`),
   effect: (given) => t(`effect.${given}`),
-  setting: (given) => t(`setting.${given}`),
 };
 
 const UNITS = { mm: 'mm', s: 'mm/s', n: 'N', s2: 'mm/s²' };
 
 function valueText(field, given) {
   if (field in WORDS) return WORDS[field](given);
-  if (typeof given === 'boolean') return t(given ? 'detail.yes' : 'detail.no');
   const unit = UNITS[field.split('_').at(-1)] ?? '';
   return typeof given === 'number' ? `${plain(given)} ${unit}`.trim() : String(given);
 }
 
 /** The event as a sentence. A refusal is described by its code, in the user's language. */
 function textOf(event) {
-  const { key, of = {}, with: parameters = {}, flags, values } = sentence(event);
+  const { key, of = {}, with: parameters = {}, flags, values, fields } = sentence(event);
   const words = Object.fromEntries(Object.entries(of).map(([name, word]) => [name, t(word)]));
   if (flags) words.flags = flags.map((flag) => t(`flag.${flag}`)).join(', ');
   if (values) words.values = valueNames(values);
-  if (event.kind === 'alarm') words.alarm = kindText(event);
+  if (fields) words.value = fields.map((field) => valueText(field, event[field])).join(t('event.setting_range'));
+  if (event.kind === 'alarm') words.alarm = alarmName({ ...event, gripper: null });
   if (event.kind === 'refused') words.cause = ofProblem({ ...event, detail: event.cause });
   if (event.kind === 'refused' && MOTIONS.includes(event.command)) words.command = t(`command.${event.command}`);
   if (key) return t(key, { ...parameters, ...words });
@@ -67,6 +67,20 @@ export function Events({ list, isOfAll }) {
             </tbody></table>`;
 }
 
+/** Whether a motion has gone wrong. The end of a jog is not a failure. */
+const isBad = (grip) => (BAD.includes(grip.outcome) && !isJogDone(grip)) || Boolean(grip.part_lost_at);
+
+/** The outcome of a motion, with the reason of a failure. */
+function outcomeText(grip) {
+  if (isJogDone(grip)) return t('outcome.jog');
+  const lost = grip.part_lost_at ? `, ${t('event.part_lost')}` : '';
+  const why = grip.code ? `: ${ofProblem(grip)}` : '';
+  return `${t(`outcome.${grip.outcome}`)}${lost}${why}`;
+}
+
+/** The client of a motion, by the name under which it had control. */
+const gripWho = ({ subject, holder }) => person(subject, holder);
+
 /** A number with its unit, or a dash if it is unknown. */
 const measured = (value, decimals, unit) => (value == null ? '–' : `${fixed(value, decimals)} ${unit}`);
 
@@ -82,20 +96,22 @@ export function Grips({ list, isOfAll, picked, onPick }) {
     'history.peak',
     'history.contact',
     'history.duration',
+    'history.who',
     'history.curve',
   ];
   const isPicked = (grip) => (picked.some(({ id }) => id === grip.id) ? 'true' : 'false');
   return html`<table><${Head} columns=${columns} />
     <tbody>${list.map(
       (grip) => html`<tr key=${grip.id} aria-selected=${isPicked(grip)}
-            class=${BAD.includes(grip.outcome) || grip.part_lost_at ? 'bad' : ''}>
-      <td>${moment(grip.started_at)}</td>${isOfAll && html`<td>${grip.gripper}</td>`}<td>${t(`command.${grip.kind}`)}</td>
-        <td>${t(`outcome.${grip.outcome}`)}${grip.part_lost_at ? `, ${t('event.part_lost')}` : ''}</td>
+            class=${isBad(grip) ? 'bad' : ''}>
+      <td>${moment(grip.started_at)}</td>${isOfAll && html`<td>${grip.gripper}</td>`}<td>${t(isJog(grip) ? 'jog.title' : `command.${grip.kind}`)}</td>
+        <td>${outcomeText(grip)}</td>
           <td>${grip.part_id ?? '–'}</td>
       <td class="number">${measured(grip.width_mm, 2, 'mm')}</td>
       <td class="number">${measured(grip.peak_force_n, 1, 'N')}</td>
       <td class="number">${measured(grip.contact_width_mm, 2, 'mm')}</td>
       <td class="number">${grip.duration_ms == null ? '–' : `${fixed(grip.duration_ms / 1000, 2)} s`}</td>
+      <td>${gripWho(grip)}</td>
       <td><button type="button" class="quiet" aria-pressed=${isPicked(grip)} aria-label=${`${t('history.curve')}: ${
         grip.gripper
       }, ${t(`command.${grip.kind}`)}, ${moment(grip.started_at)}`}

@@ -4,7 +4,7 @@ import { effect, signal } from '../lib.js';
 import { get } from '../net/rest.js';
 import { isOpen } from '../core/alarms.js';
 import { alarms } from '../model/alarms.js';
-import { gripper, isLive } from '../model/store.js';
+import { shownGripper, isLive } from '../model/state.js';
 
 const gateway = signal('WSG Gateway');
 
@@ -21,5 +21,7 @@ effect(() => {
 
 effect(() => {
   const open = alarms.value.filter(isOpen).length;
-  document.title = [open > 0 ? `(${open})` : '', gripper.value?.name, '–', gateway.value].filter(Boolean).join(' ');
+  document.title = [open > 0 ? `(${open})` : '', shownGripper.value?.name, '–', gateway.value]
+    .filter(Boolean)
+    .join(' ');
 });

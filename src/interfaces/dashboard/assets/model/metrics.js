@@ -2,7 +2,7 @@
 
 import { signal } from '../lib.js';
 import { text } from '../net/rest.js';
-import { isLive } from '../model/store.js';
+import { isLive } from './state.js';
 
 const ASKED_EVERY_MS = 5000;
 /** Sample: name, labels and value. */

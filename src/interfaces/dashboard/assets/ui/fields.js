@@ -3,7 +3,7 @@
 import { html } from '../lib.js';
 import { mistake, number, readings } from '../core/limits.js';
 import { plain, t } from '../model/i18n.js';
-import { Shape } from '../ui/parts.js';
+import { Shape } from './parts.js';
 
 export const limitsText = ({ min, max, whose }, unit) =>
   whose === null

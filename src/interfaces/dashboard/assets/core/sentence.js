@@ -1,8 +1,19 @@
 // Maps an event to the key of a text and its parameters. Pure: the texts are in `locales`.
 
+/** Fields with the value of a setting. */
+const SETTING_VALUES = ['acceleration_mm_s2', 'force_n', 'minus_mm', 'plus_mm', 'tag', 'finger_set'];
+
+function ofSetting(event) {
+  const of = { setting: `setting.${event.setting}` };
+  const fields = SETTING_VALUES.filter((field) => event[field] !== undefined);
+  if (fields.length) return { key: event.restored ? 'event.setting_restored' : 'event.setting_changed', of, fields };
+  if (event.enabled === undefined) return { key: null, of };
+  return { key: event.enabled ? 'event.setting_on' : 'event.setting_off', of };
+}
+
 /**
- * `of` has parameters that are keys of other texts, `with` has plain parameters, `flags` has names of flags, and `values`
- * has names of measured values.
+ * `of` has parameters that are keys of other texts, `with` has plain parameters, `flags` has names of flags, `values` has
+ * names of measured values, and `fields` has fields of the event whose values are one parameter.
  */
 export function sentence(event) {
   switch (event.kind) {
@@ -28,10 +39,15 @@ export function sentence(event) {
         flags: event.flags,
         values: event.values,
       };
+    case 'settings':
+      return ofSetting(event);
     case 'refused':
       return { key: 'event.refused', with: { command: event.command } };
     case 'gateway':
-      return { key: `event.${event.event}`, with: { version: event.version ?? '', count: event.count ?? '' } };
+      return {
+        key: `event.${event.event}`,
+        with: { version: event.version ?? '', count: event.count ?? '', changes: event.changes?.join('; ') ?? '' },
+      };
     case 'alarm':
       return { key: `event.alarm.${event.event}`, of: { alarm: `alarm.${event.alarm}` } };
     case 'recipe':
@@ -50,20 +66,15 @@ const FIELDS = [
   'part_id',
   'reason',
   'link_cause',
-  'setting',
-  'acceleration_mm_s2',
-  'minus_mm',
-  'plus_mm',
-  'enabled',
-  'tag',
-  'finger_set',
-  'restored',
+  'finger',
   'effect',
   'status',
 ];
 
 export function details(event) {
-  return FIELDS.filter((field) => event[field] !== undefined && event[field] !== null && event[field] !== '').map(
-    (field) => [field, event[field]],
-  );
+  const said = sentence(event).fields ?? [];
+  const others = FIELDS.filter((field) => !said.includes(field));
+  return others
+    .filter((field) => event[field] !== undefined && event[field] !== null && event[field] !== '')
+    .map((field) => [field, event[field]]);
 }

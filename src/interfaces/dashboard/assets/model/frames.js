@@ -2,7 +2,7 @@
 // The connection is opened with the log, and stays open while another view is shown.
 
 import { computed, effect, signal } from '../lib.js';
-import { view } from '../model/store.js';
+import { view } from './state.js';
 import { Rpc } from '../net/rpc.js';
 
 const MAX_FRAMES = 1000;

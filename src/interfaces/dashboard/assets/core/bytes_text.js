@@ -1,6 +1,6 @@
 // Bytes as text: input of the command editor, and the meaning of selected bytes.
 
-import { readings } from '../core/limits.js';
+import { readings } from './limits.js';
 
 /**
  * One token of the editor: "text", a hexadecimal or decimal number, or a float with an f. A comma right after a token
