@@ -4,6 +4,7 @@
 //!
 //! - [`wsg`]: the protocol without I/O (sans-IO): frames, commands, replies, and the [session](wsg::session) on a link.
 //! - [`transport`]: byte pipes to devices; knows nothing of the protocol.
+//! - [`model`]: values, events and refusals that all others share.
 //! - [`gripper`]: one actor per gripper, the only owner of its state; everyone else has a [handle](gripper::Handle).
 //! - [`operations`]: everything that a client can request, defined once for all interfaces.
 //! - [`interfaces`]: [HTTP](interfaces::http), [WebSocket](interfaces::websocket), [Modbus TCP](interfaces::modbus),
@@ -24,7 +25,7 @@
 //! - [`doctor`]: checks of an installation, and discovery of devices.
 //! - [`cli`] and [`logging`]: the command line, and logs.
 //!
-//! A request comes in through an interface, which parses it once into a [`gripper::model`] value for the gripper's
+//! A request comes in through an interface, which parses it once into a [`model`] value for the gripper's
 //! handle. The [actor](gripper::actor) decides, and hands a request to the session, which makes bytes. On the way out,
 //! bytes become session events, which change the actor's state; clients follow its newest value.
 //! [Updates](events::LiveUpdates) are serialised once, and all clients share their bytes. The device side runs on a
@@ -36,6 +37,7 @@
 //! `frame_sent_at_most_once`, `nothing_moves_unasked`, `fast_stop_overtakes`, `latch_blocks_motion`,
 //! `acknowledge_names_its_latch`, `stale_lease_moves_nothing`, `every_command_ends_once`, `unknown_is_said`,
 //! `announce_before_close`, `device_refusal_is_not_our_error`, `observers_never_block`, `bounded`.
+//! `src/design.md` gives the meaning and the reason of each.
 //!
 //! FAST STOP is not a safety function in the sense of ISO 13850.
 
@@ -49,15 +51,18 @@ pub mod events;
 pub mod fleet;
 #[cfg(any(test, fuzzing))]
 pub mod fuzz;
-pub mod gripper;
 pub mod interfaces;
 pub mod journal;
 pub mod logging;
 pub mod operations;
 pub mod recipes;
-pub mod sim;
-pub mod transport;
 pub mod trends;
 pub mod wear;
 pub mod webhooks;
-pub mod wsg;
+
+pub use gripper;
+pub use model;
+pub use settings;
+pub use sim;
+pub use transport;
+pub use wsg;

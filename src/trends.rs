@@ -10,8 +10,8 @@ use tokio::time::{MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
 use utoipa::ToSchema;
 
-use crate::gripper::model::{Name, State};
 use crate::gripper::{Grippers, Now};
+use crate::model::{Name, State};
 
 /// Interval of the samples. A chart of ten minutes cannot show shorter changes.
 const SAMPLED_EVERY: Duration = Duration::from_millis(200);
@@ -68,7 +68,7 @@ pub struct Trend {
     age_ms: Vec<u64>,
     /// Time at which the frame of the newest sample arrived, in UTC with microseconds. The other samples arrived as much
     /// earlier as their ages are greater. Null before the first connection.
-    #[serde(serialize_with = "crate::gripper::model::time::microseconds_or_null")]
+    #[serde(serialize_with = "crate::model::time::microseconds_or_null")]
     #[schema(value_type = Option<String>, required, format = DateTime)]
     measured_at: Option<Timestamp>,
     /// Opening widths in mm; null where unknown.
@@ -148,7 +148,7 @@ impl Trends {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gripper::model::{Link, Values};
+    use crate::model::{Link, Values};
     use crate::wsg::{GripperState, SystemState};
 
     fn name() -> Name {

@@ -1,30 +1,36 @@
 //! Identification of clients by their credentials.
 
-use std::sync::{Arc, PoisonError, RwLock};
+use std::collections::HashSet;
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 
 use jiff::Timestamp;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
+use strum::{EnumMessage, VariantArray};
+use utoipa::ToSchema;
 
 use super::credential::{Credential, SessionId};
+use super::expiry::ExpiringCredential;
 use super::identity::{Identity, Proof, Unauthorized};
 use super::known::{ClientOrigin, KnownClient};
 use super::pin::Pin;
 use super::role::{Right, Role};
 use super::session::{SessionCredentials, SessionTimes, Sessions};
+use super::ticket::{TicketId, Tickets};
 use super::token::TokenSecret;
 use super::token_file::{FileVersion, StoredToken, TokenFile, TokenFileError, TokenHash, Tokens};
+use crate::model::Name;
 
 /// Pause before a file of tokens that could not be read is read again.
 const RETRIED_AFTER: Duration = Duration::from_secs(1);
 
-/// The clients that can trigger a FAST STOP without a credential.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+/// What a FAST STOP needs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, EnumMessage, VariantArray)]
 #[serde(rename_all = "lowercase")]
 pub enum FastStopPolicy {
-    /// Everyone.
+    /// Nothing.
     Anyone,
-    /// No one: a FAST STOP needs any valid credential.
+    /// Any valid credential.
     Credential,
 }
 
@@ -33,6 +39,7 @@ pub enum FastStopPolicy {
 pub struct Access {
     rules: RwLock<Arc<AccessRules>>,
     sessions: Sessions,
+    tickets: Tickets,
 }
 
 /// Whether clients need credentials.
@@ -55,6 +62,8 @@ pub struct Guard {
     /// Whether the network can read the credentials.
     is_exposed: bool,
     cached: RwLock<Cached>,
+    /// Expired tokens that were refused since the file was read.
+    refused: Mutex<HashSet<Name>>,
 }
 
 /// The tokens as last read.
@@ -85,7 +94,8 @@ impl Guard {
         times: SessionTimes,
     ) -> Result<Self, TokenFileError> {
         let cached = RwLock::new(Cached::of(file.read()?));
-        Ok(Self { file, clients, fast_stop, network_role, times, is_exposed: false, cached })
+        let refused = Mutex::default();
+        Ok(Self { file, clients, fast_stop, network_role, times, is_exposed: false, cached, refused })
     }
 
     /// Notes whether the network can read the credentials.
@@ -108,6 +118,7 @@ impl Guard {
             Ok(read) => {
                 tracing::info!(file = %self.file.path().display(), "tokens read");
                 *cached = Cached::of(read);
+                self.refused.lock().unwrap_or_else(PoisonError::into_inner).clear();
             }
             Err(error) => {
                 tracing::error!(%error, "tokens not read: the gateway keeps the tokens that it knows");
@@ -121,15 +132,15 @@ impl Guard {
     fn by_token(&self, secret: &TokenSecret, proof: Proof) -> Result<(TokenHash, Identity), Unauthorized> {
         let tokens = self.tokens().ok_or(Unauthorized::Unknown)?;
         let hash = tokens.hash(secret);
-        Ok((hash, Self::by_hash(&tokens, hash, proof)?))
+        Ok((hash, self.by_hash(&tokens, hash, proof)?))
     }
 
     /// Identifies a client by its session: as the person whose PIN was entered there, or else by the session's token.
     fn by_session(&self, credentials: Option<SessionCredentials>) -> Result<Identity, Unauthorized> {
         let (SessionCredentials { token, pin }, tokens) =
             credentials.zip(self.tokens()).ok_or(Unauthorized::SessionEnded)?;
-        let identity = Self::by_hash(&tokens, token, Proof::Session).map_err(|_| Unauthorized::SessionEnded)?;
-        let person = pin.and_then(|pin| valid(tokens.find_pin(pin)?, Proof::Pin).ok());
+        let identity = self.by_hash(&tokens, token, Proof::Session).map_err(|_| Unauthorized::SessionEnded)?;
+        let person = pin.and_then(|pin| self.valid(tokens.find_pin(pin)?, Proof::Pin).ok());
         Ok(person.unwrap_or(identity))
     }
 
@@ -137,7 +148,7 @@ impl Guard {
     fn by_pin(&self, pin: &Pin) -> Result<(TokenHash, Identity), Unauthorized> {
         let tokens = self.tokens().ok_or(Unauthorized::WrongPin)?;
         let hash = tokens.hash_of_pin(pin);
-        Ok((hash, valid(tokens.find_pin(hash).ok_or(Unauthorized::WrongPin)?, Proof::Pin)?))
+        Ok((hash, self.valid(tokens.find_pin(hash).ok_or(Unauthorized::WrongPin)?, Proof::Pin)?))
     }
 
     /// Whether the token of a session allows no more than reads.
@@ -145,25 +156,35 @@ impl Guard {
         self.tokens().is_some_and(|tokens| tokens.find(token).is_some_and(|token| !token.role.has(Right::Operate)))
     }
 
-    fn by_hash(tokens: &Tokens, hash: TokenHash, proof: Proof) -> Result<Identity, Unauthorized> {
-        valid(tokens.find(hash).ok_or(Unauthorized::Unknown)?, proof)
+    fn by_hash(&self, tokens: &Tokens, hash: TokenHash, proof: Proof) -> Result<Identity, Unauthorized> {
+        self.valid(tokens.find(hash).ok_or(Unauthorized::Unknown)?, proof)
     }
-}
 
-/// Returns the identity that comes with a token, if the token has not expired.
-fn valid(token: &StoredToken, proof: Proof) -> Result<Identity, Unauthorized> {
-    let StoredToken { name, role, expires_at, .. } = token;
-    if expires_at.is_some_and(|at| at <= Timestamp::now()) {
-        return Err(Unauthorized::Expired);
+    /// Returns the identity that comes with a token, if the token has not expired.
+    fn valid(&self, token: &StoredToken, proof: Proof) -> Result<Identity, Unauthorized> {
+        let StoredToken { name, role, expires_at, .. } = token;
+        if let Some(at) = expires_at.filter(|at| *at <= Timestamp::now()) {
+            self.log_expired(name, at);
+            return Err(Unauthorized::Expired);
+        }
+        Ok(Identity {
+            name: Some(name.clone()),
+            role: *role,
+            scope: token.scope(),
+            expires_at: *expires_at,
+            proof,
+            session: None,
+        })
     }
-    Ok(Identity {
-        name: Some(name.clone()),
-        role: *role,
-        scope: token.scope(),
-        expires_at: *expires_at,
-        proof,
-        session: None,
-    })
+
+    /// Logs the first refusal of an expired token. The client of a machine repeats its requests without end.
+    fn log_expired(&self, name: &Name, at: Timestamp) {
+        let is_first = self.refused.lock().unwrap_or_else(PoisonError::into_inner).insert(name.clone());
+        if is_first {
+            let expired_at = format!("{at:.0}");
+            tracing::warn!(token = %name, expired_at, "expired token refused: create another one with wsg-gateway token create");
+        }
+    }
 }
 
 impl Access {
@@ -193,6 +214,7 @@ impl Access {
             Credential::None => KnownClient::find(&guard.clients, origin).ok_or(Unauthorized::Missing),
             Credential::Malformed => Err(Unauthorized::Malformed),
             Credential::NotAToken(error) => Err((*error).into()),
+            Credential::InvalidTicket => Err(Unauthorized::InvalidTicket),
             Credential::Token(secret) => guard.by_token(secret, Proof::Token).map(|(_, identity)| identity),
             Credential::Session(id) => {
                 let identity = guard.by_session(self.sessions.credentials(Instant::now(), guard.times, id))?;
@@ -233,6 +255,15 @@ impl Access {
         Identity { role, ..Identity::anyone() }
     }
 
+    /// The tokens that expire.
+    #[must_use]
+    pub fn expiring(&self) -> Vec<ExpiringCredential> {
+        match &*self.rules() {
+            AccessRules::Open => Vec::new(),
+            AccessRules::Guarded(guard) => guard.tokens().map(|tokens| tokens.expiring()).unwrap_or_default(),
+        }
+    }
+
     /// Whether clients need credentials.
     #[must_use]
     pub fn is_guarded(&self) -> bool {
@@ -245,13 +276,19 @@ impl Access {
         matches!(&*self.rules(), AccessRules::Guarded(guard) if guard.is_exposed)
     }
 
+    /// Returns what a FAST STOP needs.
+    #[must_use]
+    pub fn fast_stop(&self) -> FastStopPolicy {
+        match &*self.rules() {
+            AccessRules::Open => FastStopPolicy::Anyone,
+            AccessRules::Guarded(guard) => guard.fast_stop,
+        }
+    }
+
     /// Whether a FAST STOP needs no credential.
     #[must_use]
     pub fn lets_anyone_stop(&self) -> bool {
-        match &*self.rules() {
-            AccessRules::Open => true,
-            AccessRules::Guarded(guard) => guard.fast_stop == FastStopPolicy::Anyone,
-        }
+        self.fast_stop() == FastStopPolicy::Anyone
     }
 
     /// Begins a session with a token. Returns `None` if the gateway needs no credentials.
@@ -286,6 +323,20 @@ impl Access {
             guard.by_pin(pin).inspect_err(|_| self.sessions.note_wrong_pin(now, credentials.token))?;
         self.sessions.add_pin(now, id, hash);
         Ok(identity)
+    }
+
+    /// Issues a ticket, which stands for this credential once.
+    ///
+    /// # Errors
+    /// The operating system has no random numbers.
+    pub fn issue_ticket(&self, credential: &Credential) -> Result<TicketId, ring::error::Unspecified> {
+        self.tickets.issue(Instant::now(), credential)
+    }
+
+    /// Takes a ticket, and returns the credential that it stands for.
+    #[must_use]
+    pub fn take_ticket(&self, id: &TicketId) -> Credential {
+        self.tickets.take(Instant::now(), id).unwrap_or(Credential::InvalidTicket)
     }
 
     /// Takes the rights of a PIN away from a session.

@@ -19,6 +19,8 @@ pub enum Credential {
     Malformed,
     /// A text in the place of a token.
     NotAToken(NotAToken),
+    /// A ticket that is not valid, or no longer. A valid one stands for its own credential.
+    InvalidTicket,
 }
 
 impl Credential {

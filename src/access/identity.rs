@@ -4,12 +4,13 @@ use std::collections::BTreeSet;
 
 use jiff::Timestamp;
 use serde::Serialize;
+use strum::{EnumMessage, VariantArray};
 use utoipa::ToSchema;
 
 use super::credential::SessionId;
 use super::role::{Right, Role};
 use super::token::NotAToken;
-use crate::gripper::model::Name;
+use crate::model::Name;
 
 /// A client that the gateway knows.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -33,21 +34,20 @@ pub enum Scope {
 }
 
 /// The evidence of a client's identity.
-///
-/// - `none`: nothing; the gateway needs no credentials
-/// - `token`: a token
-/// - `session`: a session in a browser, which began with a token
-/// - `pin`: a PIN, entered in a session
-/// - `certificate`: the client's certificate
-/// - `address`: the client's address
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, ToSchema, EnumMessage, VariantArray)]
 #[serde(rename_all = "lowercase")]
 pub enum Proof {
+    /// Nothing; the gateway needs no credentials.
     None,
+    /// A token.
     Token,
+    /// A session in a browser, which began with a token.
     Session,
+    /// A PIN, entered in a session.
     Pin,
+    /// The client's certificate.
     Certificate,
+    /// The client's address.
     Address,
 }
 
@@ -66,6 +66,8 @@ pub enum Unauthorized {
     Expired,
     #[error("this session has ended: sign in again")]
     SessionEnded,
+    #[error("this ticket was used, has expired or is unknown: get a new one with POST /api/v1/tickets")]
+    InvalidTicket,
     #[error("this PIN is wrong or was revoked")]
     WrongPin,
     #[error("too many wrong PINs: wait five minutes")]

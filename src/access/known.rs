@@ -8,7 +8,7 @@ use jiff::Timestamp;
 
 use super::identity::{Identity, Proof, Scope};
 use super::role::Role;
-use crate::gripper::model::Name;
+use crate::model::Name;
 
 /// A client that the configuration names.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -1,15 +1,10 @@
 //! Roles of clients, and the rights that they have.
 
 use serde::{Deserialize, Serialize};
+use strum::{EnumMessage, VariantArray};
 use utoipa::ToSchema;
 
 /// The rights of a client. Every role may trigger FAST STOPs, and may read over Modbus and on the WSG port.
-///
-/// - `stop`: also triggers Stops, but has no other rights, e.g. for the controller of a light curtain
-/// - `observer`: reads
-/// - `operator`: reads, moves and stops the gripper, holds its lease, changes its settings and acknowledges
-/// - `supervisor`: does all that, takes leases by force, sends raw requests in the device's protocol, tests webhooks,
-///   and reloads the configuration
 #[derive(
     Debug,
     Clone,
@@ -22,14 +17,20 @@ use utoipa::ToSchema;
     ToSchema,
     strum::Display,
     strum::EnumString,
-    strum::VariantArray,
+    VariantArray,
+    EnumMessage,
 )]
 #[serde(rename_all = "lowercase")]
 #[strum(serialize_all = "lowercase")]
 pub enum Role {
+    /// Also triggers Stops, but has no other rights, e.g. for the controller of a light curtain.
     Stop,
+    /// Reads.
     Observer,
+    /// Reads, moves and stops the gripper, holds its lease, changes its settings and acknowledges.
     Operator,
+    /// Does all that, takes leases by force, sends raw requests in the device's protocol, tests webhooks, and reloads
+    /// the configuration.
     Supervisor,
 }
 
@@ -76,8 +77,6 @@ impl Right {
 
 #[cfg(test)]
 mod tests {
-    use strum::VariantArray as _;
-
     use super::*;
 
     #[test]

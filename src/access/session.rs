@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use super::credential::SessionId;
 use super::token_file::TokenHash;
+use crate::settings::{between, settings, whole};
 
 /// Maximum number of sessions.
 const MAX_SESSIONS: usize = 256;
@@ -19,12 +20,17 @@ const MAX_WRONG_PINS: u32 = 5;
 /// Wait after too many wrong PINs. A million PINs then take almost two years.
 const PIN_PAUSE: Duration = Duration::from_mins(5);
 
-/// Times after which idle sessions end.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct SessionTimes {
-    pub idle: Duration,
-    /// Time after which the rights of a PIN end.
-    pub pin_idle: Duration,
+settings! {
+    /// Times after which idle sessions end.
+    #[derive(Copy, Eq)]
+    pub struct SessionTimes {
+        /// Time in hours after which an idle session of a browser ends.
+        pub idle: Duration = "session_idle_h",
+            whole(8, between(1..=720, "choose how long an unused browser stays signed in"), Duration::from_hours), Reload;
+        /// Time in minutes after which the rights of an unused [PIN](access.md#shared-panels) end.
+        pub pin_idle: Duration = "pin_idle_min",
+            whole(5, between(1..=480, "choose how long the rights of an unused PIN last"), Duration::from_mins), Reload;
+    }
 }
 
 #[derive(Debug, Default)]

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, Write as _};
+use std::io::{self, Read as _, Write as _};
 use std::os::unix::fs::{MetadataExt as _, OpenOptionsExt as _, fchown};
 use std::path::{Path, PathBuf};
 
@@ -10,12 +10,13 @@ use jiff::Timestamp;
 use ring::hmac;
 use serde::{Deserialize, Serialize};
 
+use super::expiry::{CredentialKind, ExpiringCredential};
 use super::identity::Scope;
 use super::pin::Pin;
 use super::random::secret_bytes;
 use super::role::Role;
 use super::token::TokenSecret;
-use crate::gripper::model::Name;
+use crate::model::{Name, without_byte_order_mark};
 
 /// Maximum number of tokens in a file.
 const MAX_TOKENS: usize = 1024;
@@ -173,7 +174,7 @@ impl TokenFile {
     }
 
     pub(super) fn read(&self) -> Result<Option<(Tokens, FileVersion)>, TokenFileError> {
-        let file = match File::open(&self.path) {
+        let mut file = match File::open(&self.path) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
             file => file.map_err(|cause| self.failed(cause))?,
         };
@@ -181,7 +182,9 @@ impl TokenFile {
         if metadata.mode() & FOR_OTHERS != 0 {
             return Err(TokenFileError::Exposed { path: self.path.clone(), mode: metadata.mode() & 0o777 });
         }
-        let content = serde_json::from_reader(io::BufReader::new(file));
+        let mut text = Vec::new();
+        file.read_to_end(&mut text).map_err(|cause| self.failed(cause))?;
+        let content = serde_json::from_slice(without_byte_order_mark(&text));
         let content = content.map_err(|cause| TokenFileError::Malformed { path: self.path.clone(), cause })?;
         Ok(Some((content, FileVersion::of(&metadata))))
     }
@@ -267,6 +270,11 @@ impl Tokens {
         TokenHash(hash)
     }
 
+    /// The tokens that expire.
+    pub(super) fn expiring(&self) -> Vec<ExpiringCredential> {
+        self.tokens.iter().filter_map(StoredToken::expiry).collect()
+    }
+
     pub(super) fn find(&self, hash: TokenHash) -> Option<&StoredToken> {
         self.tokens.iter().find(|token| !token.is_pin && token.hash == hash)
     }
@@ -277,6 +285,17 @@ impl Tokens {
 }
 
 impl StoredToken {
+    /// The token's end; `None` if it does not expire.
+    #[must_use]
+    pub fn expiry(&self) -> Option<ExpiringCredential> {
+        Some(ExpiringCredential {
+            kind: CredentialKind::Token,
+            name: self.name.as_str().into(),
+            valid_from: self.created_at,
+            expires_at: self.expires_at?,
+        })
+    }
+
     /// The grippers that the token is for.
     #[must_use]
     pub fn scope(&self) -> Scope {

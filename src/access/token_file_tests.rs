@@ -38,6 +38,16 @@ fn names_are_unique_until_revoked() {
 }
 
 #[test]
+fn byte_order_mark_is_ignored() {
+    let (directory, file) = file("mark");
+    file.create(Timestamp::now(), new("plc7")).unwrap();
+    let text = fs::read_to_string(file.path()).unwrap();
+    fs::write(file.path(), format!("\u{FEFF}{text}")).unwrap();
+    assert_eq!(file.list().unwrap().len(), 1);
+    fs::remove_dir_all(directory).unwrap();
+}
+
+#[test]
 fn simultaneous_changes_lose_nothing() {
     let (directory, file) = file("simultaneous");
     std::thread::scope(|scope| {

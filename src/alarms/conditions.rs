@@ -1,11 +1,18 @@
 //! The conditions that raise alarms, as a gripper's state shows them.
 
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
+
+use jiff::Timestamp;
 
 use super::list::{AlarmKey, Conditions};
-use crate::gripper::model::{AlarmCause, AlarmKind, Fault, Link, Name, State};
+use crate::access::{CredentialKind, ExpiringCredential};
+use crate::model::{AlarmCause, AlarmKind, Fault, Link, Name, State};
 use crate::wear::{Wear, WearCondition};
+use crate::webhooks::{WebhookProgress, Webhooks};
+
+/// Time for which a webhook has to fail before it raises an alarm. A receiver that restarts needs nobody.
+const FAILING_FOR: Duration = Duration::from_mins(1);
 
 /// Flags of the device that raise alarms.
 const FLAGS: [(&str, AlarmKind); 6] = [
@@ -34,6 +41,33 @@ pub(super) fn of_wear(gripper: &Name, wear: &Wear, conditions: &mut Conditions) 
     }
 }
 
+/// Adds the credentials that end soon or have ended.
+pub(super) fn of_credentials(credentials: &[ExpiringCredential], now: Timestamp, conditions: &mut Conditions) {
+    for credential in credentials.iter().filter(|credential| credential.needs_attention(now)) {
+        let alarm = match credential.kind {
+            CredentialKind::Token => AlarmKind::TokenExpiring,
+            CredentialKind::Certificate | CredentialKind::RenewedCertificate => AlarmKind::CertificateExpiring,
+        };
+        add_named(alarm, &credential.name, &credential.notice(now), conditions);
+    }
+}
+
+/// Adds the webhooks whose receivers have accepted nothing for too long. Their events wait in the journal.
+pub(super) fn of_webhooks(webhooks: &Webhooks, now: Instant, conditions: &mut Conditions) {
+    for webhook in webhooks.all() {
+        let WebhookProgress { failing_since, last_error, .. } = webhook.progress();
+        if failing_since.is_some_and(|since| now.saturating_duration_since(since) >= FAILING_FOR) {
+            let cause = last_error.unwrap_or_default();
+            add_named(AlarmKind::WebhookFailing, &webhook.name().as_str().into(), &cause, conditions);
+        }
+    }
+}
+
+fn add_named(alarm: AlarmKind, name: &Arc<str>, cause: &str, conditions: &mut Conditions) {
+    let key = AlarmKey { name: Some(name.clone()), ..AlarmKey::of_gateway(alarm) };
+    conditions.insert(key, Some(AlarmCause { name: Some(name.clone()), ..text(cause) }));
+}
+
 /// Adds the conditions of a gripper. One that has only just begun to connect raises no alarm for its link.
 pub(super) fn of_gripper(state: &State, now: Instant, is_starting: bool, conditions: &mut Conditions) {
     let mut add = |alarm, cause: Option<AlarmCause>| {
@@ -46,7 +80,7 @@ pub(super) fn of_gripper(state: &State, now: Instant, is_starting: bool, conditi
                 fast_stop_id: Some(latch.fast_stop_id),
                 fast_stop_by: Some(latch.fast_stop_by.clone()),
                 fast_stop_reason: Some(latch.fast_stop_reason.as_str().into()),
-                part_id: None,
+                ..AlarmCause::default()
             };
             add(AlarmKind::FastStop, Some(cause));
         }

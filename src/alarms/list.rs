@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use jiff::Timestamp;
 
 use crate::gripper::Now;
-use crate::gripper::model::{
+use crate::model::{
     Alarm, AlarmCause, AlarmId, AlarmKind, AlarmPriority, AlarmStep, Client, ClientLabel, FastStopId, Name, PartId,
 };
 
@@ -17,19 +17,26 @@ const ENDS_AFTER: Duration = Duration::from_secs(1);
 /// Maximum number of alarms: those of more than fifty grippers with everything wrong, besides drifts.
 const MAX_ALARMS: usize = 1024;
 
-/// A condition of a gripper, of a part on it, or of another gateway; of this gateway if all three are absent.
+/// A condition of a gripper, of a part on it, of another gateway, or of a credential or webhook with this name; of this
+/// gateway if all four are absent.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct AlarmKey {
     pub(super) alarm: AlarmKind,
     pub(super) gripper: Option<Name>,
     pub(super) gateway: Option<Name>,
     pub(super) part_id: Option<PartId>,
+    pub(super) name: Option<Arc<str>>,
 }
 
 impl AlarmKey {
+    /// Key of an alarm that this gateway has at most once.
+    pub(super) fn of_gateway(alarm: AlarmKind) -> Self {
+        Self { alarm, gripper: None, gateway: None, part_id: None, name: None }
+    }
+
     /// Key of an alarm that a gripper has at most once.
     pub(super) fn of_gripper(alarm: AlarmKind, gripper: &Name) -> Self {
-        Self { alarm, gripper: Some(gripper.clone()), gateway: None, part_id: None }
+        Self { gripper: Some(gripper.clone()), ..Self::of_gateway(alarm) }
     }
 }
 
@@ -55,9 +62,14 @@ impl AlarmList {
     /// Continues the alarms of the last run. Active ones stay active until their condition is known to be absent.
     pub(super) fn restored(alarms: Vec<Alarm>) -> Self {
         let entry = |alarm: Alarm| {
-            let (gripper, gateway) = (alarm.gripper.clone(), alarm.gateway.clone());
-            let part_id = alarm.cause.part_id.clone();
-            (AlarmKey { alarm: alarm.alarm, gripper, gateway, part_id }, Entry { alarm, absent_since: None })
+            let key = AlarmKey {
+                alarm: alarm.alarm,
+                gripper: alarm.gripper.clone(),
+                gateway: alarm.gateway.clone(),
+                part_id: alarm.cause.part_id.clone(),
+                name: alarm.cause.name.clone(),
+            };
+            (key, Entry { alarm, absent_since: None })
         };
         Self(alarms.into_iter().take(MAX_ALARMS).map(entry).collect())
     }

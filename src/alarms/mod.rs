@@ -15,20 +15,23 @@ use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 use tokio::sync::broadcast::error::RecvError;
+use tokio::sync::watch;
 use tokio::time::{MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
 use utoipa::ToSchema;
 
+use crate::access::ExpiringCredential;
 use crate::fleet::{KEPT_FOR, Peers};
-use crate::gripper::model::{
-    Alarm, AlarmCause, AlarmEvent, AlarmId, AlarmKind, AlarmStep, Client, ClientLabel, Detail, Event, FastStopId, Link,
-    Name, PersistedKey, PersistedState,
-};
 use crate::gripper::recorder::{Record, Recorder as _};
 use crate::gripper::{Grippers, Now};
 use crate::journal::{EventKind, Journal, Stored};
+use crate::model::{
+    Alarm, AlarmCause, AlarmEvent, AlarmId, AlarmKind, AlarmStep, Client, ClientLabel, Detail, Event, FastStopId, Link,
+    Name, PersistedKey, PersistedState,
+};
 use crate::wear::Wear;
-use conditions::{of_gripper, of_wear, text};
+use crate::webhooks::Webhooks;
+use conditions::{of_credentials, of_gripper, of_wear, of_webhooks, text};
 use list::{AlarmChange, AlarmKey, AlarmList, Conditions};
 
 /// Interval at which conditions are checked. Faults last until a person acts, so none is missed.
@@ -44,6 +47,17 @@ pub struct Alarms {
     gateway: Name,
     journal: Journal,
     known: Mutex<KnownAlarms>,
+}
+
+/// Parts of the gateway whose conditions raise alarms.
+#[derive(Debug)]
+pub struct AlarmSources {
+    pub grippers: Grippers,
+    pub peers: Arc<Peers>,
+    pub wear: Arc<Wear>,
+    pub webhooks: Arc<Webhooks>,
+    /// The credentials that expire.
+    pub expiring: watch::Receiver<Vec<ExpiringCredential>>,
 }
 
 /// The alarms that are active or not acknowledged.
@@ -109,18 +123,20 @@ impl Alarms {
     pub fn acknowledge(&self, ids: &BTreeSet<AlarmId>, client: &Client) -> Vec<Alarm> {
         let mut known = self.known();
         let (alarms, changes) = known.list.acknowledge(ids, client, Now::read().wall);
+        for alarm in &alarms {
+            match alarm.alarm {
+                AlarmKind::JournalRestored => self.journal.confirm_restored(),
+                AlarmKind::ClockDoubtful => self.journal.confirm_clock(),
+                _ => {}
+            }
+        }
         self.note(&mut known, changes, Some(client));
         alarms
     }
 
     /// Follows the conditions until the gateway closes.
-    pub async fn watch(
-        self: Arc<Self>,
-        grippers: Grippers,
-        peers: Arc<Peers>,
-        wear: Arc<Wear>,
-        closing: CancellationToken,
-    ) {
+    pub async fn watch(self: Arc<Self>, sources: AlarmSources, closing: CancellationToken) {
+        let AlarmSources { grippers, peers, wear, webhooks, expiring } = sources;
         let mut events = self.journal.subscribe();
         let started = Now::read().instant;
         let mut connecting = BTreeMap::new();
@@ -142,6 +158,8 @@ impl Alarms {
                     connecting = of_grippers(&grippers, &wear, now, &connecting, &mut conditions);
                     let running_for = now.instant.saturating_duration_since(started);
                     self.add_of_gateway(&peers, running_for, &mut conditions);
+                    of_credentials(&expiring.borrow(), now.wall, &mut conditions);
+                    of_webhooks(&webhooks, now.instant, &mut conditions);
                     self.look(now, &conditions);
                 }
             }
@@ -151,12 +169,18 @@ impl Alarms {
     /// Adds the conditions of this gateway and of others.
     fn add_of_gateway(&self, peers: &Peers, running_for: Duration, conditions: &mut Conditions) {
         let mut add = |alarm, gateway, cause| {
-            conditions.insert(AlarmKey { alarm, gripper: None, gateway, part_id: None }, Some(cause));
+            conditions.insert(AlarmKey { gateway, ..AlarmKey::of_gateway(alarm) }, Some(cause));
         };
         let health = self.journal.health();
         let health = health.borrow();
         if let Some(failure) = &health.failure {
             add(AlarmKind::JournalDown, None, text(failure));
+        }
+        if let Some(cause) = &health.restored {
+            add(AlarmKind::JournalRestored, None, text(cause));
+        }
+        if let Some(cause) = &health.clock {
+            add(AlarmKind::ClockDoubtful, None, text(cause));
         }
         if let Some(damage) = &health.damage {
             add(AlarmKind::JournalDamaged, None, text(damage));

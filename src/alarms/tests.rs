@@ -5,9 +5,11 @@ use std::time::Instant;
 use jiff::{SignedDuration, Timestamp};
 
 use super::*;
-use crate::gripper::clock;
-use crate::gripper::model::{Door, Fault, Link, Missing, PartId, State, Values};
+use crate::access::CredentialKind;
 use crate::journal::{JournalLocation, Retention};
+use crate::model::clock;
+use crate::model::{Door, Fault, Link, Missing, PartId, State, Values};
+use crate::webhooks::{Authorities, WebhookContext, WebhookRunner, WebhookSettings};
 use crate::wsg::{GripperState, SystemState};
 
 /// A list, and a time that passes.
@@ -165,7 +167,7 @@ fn list_is_bounded() {
     let mut scene = Scene::new();
     let gone = |number: usize| {
         let gateway = Some(format!("cell-{number}").parse().unwrap());
-        (AlarmKey { alarm: AlarmKind::GatewayGone, gripper: None, gateway, part_id: None }, Some(AlarmCause::default()))
+        (AlarmKey { gateway, ..AlarmKey::of_gateway(AlarmKind::GatewayGone) }, Some(AlarmCause::default()))
     };
     scene.see(&(0..1500).map(gone).collect::<Vec<_>>());
     assert_eq!(scene.list.alarms().len(), 1024);
@@ -247,7 +249,7 @@ async fn gateway_that_was_gone_before_a_restart_stays_gone() {
     let (journal, _) = Journal::open(JournalLocation::Memory, Retention::default()).unwrap();
     let alarms = Alarms::new("wsg".parse().unwrap(), journal, &[]);
     let gateway = Some("cell-7".parse().unwrap());
-    let gone = AlarmKey { alarm: AlarmKind::GatewayGone, gripper: None, gateway, part_id: None };
+    let gone = AlarmKey { gateway, ..AlarmKey::of_gateway(AlarmKind::GatewayGone) };
     alarms.look(Now::read(), &[(gone.clone(), Some(AlarmCause::default()))].into());
     let peers = Peers::new("wsg".parse().unwrap(), Grippers::new([]), None);
     let after = |running_for| {
@@ -256,4 +258,74 @@ async fn gateway_that_was_gone_before_a_restart_stays_gone() {
         conditions.get(&gone).cloned()
     };
     assert_eq!((after(Duration::ZERO), after(KEPT_FOR)), (Some(None), None));
+}
+
+fn named(conditions: &Conditions) -> Vec<(AlarmKind, &str)> {
+    conditions.keys().map(|key| (key.alarm, key.name.as_deref().unwrap_or_default())).collect()
+}
+
+#[test]
+fn credentials_near_their_end_are_conditions() {
+    let now = Scene::new().now.wall;
+    let ends = [
+        (CredentialKind::Token, "plc7", 3),
+        (CredentialKind::Token, "mes", 15),
+        (CredentialKind::Token, "old", -1),
+        (CredentialKind::Certificate, "certificate.pem", 13),
+    ];
+    let credentials = ends.map(|(kind, name, days)| ExpiringCredential {
+        kind,
+        name: name.into(),
+        valid_from: now - SignedDuration::from_hours(80 * 24),
+        expires_at: now + SignedDuration::from_hours(days * 24),
+    });
+    let mut conditions = Conditions::new();
+    of_credentials(&credentials, now, &mut conditions);
+    let expected = [
+        (AlarmKind::TokenExpiring, "old"),
+        (AlarmKind::TokenExpiring, "plc7"),
+        (AlarmKind::CertificateExpiring, "certificate.pem"),
+    ];
+    assert_eq!(named(&conditions), expected);
+    // Each one is an alarm of its own, also after a restart.
+    let mut scene = Scene::new();
+    let conditions: Vec<_> = conditions.into_iter().collect();
+    assert_eq!(scene.see(&conditions), [AlarmStep::Raised; 3]);
+    scene.list = AlarmList::restored(scene.list.alarms());
+    assert_eq!(scene.see(&conditions), []);
+}
+
+#[tokio::test]
+async fn webhook_that_fails_for_a_minute_is_a_condition() {
+    let (journal, _) = Journal::open(JournalLocation::Memory, Retention::default()).unwrap();
+    let runner = WebhookRunner::new(WebhookContext {
+        gateway: "wsg".parse().unwrap(),
+        journal: journal.clone(),
+        registry: prometheus::Registry::new(),
+        closing: CancellationToken::new(),
+        runtime: tokio::runtime::Handle::current(),
+    });
+    let settings = WebhookSettings {
+        name: "mes".parse().unwrap(),
+        receiver: "http://127.0.0.1:1/".parse().unwrap(),
+        kinds: None,
+        secret: "whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw".parse().unwrap(),
+        authorities: Authorities::default(),
+    };
+    runner.apply(runner.prepare(&[settings]).unwrap(), &[]).await.unwrap();
+    let alarms = Alarms::new("wsg".parse().unwrap(), journal, &[]);
+    alarms.look(Now::read(), &[down()].into());
+    let since = loop {
+        match runner.webhooks().all()[0].progress().failing_since {
+            Some(since) => break since,
+            None => tokio::task::yield_now().await,
+        }
+    };
+    let mut conditions = Conditions::new();
+    of_webhooks(runner.webhooks(), since + Duration::from_secs(59), &mut conditions);
+    assert!(conditions.is_empty());
+    of_webhooks(runner.webhooks(), since + Duration::from_mins(1), &mut conditions);
+    assert_eq!(named(&conditions), [(AlarmKind::WebhookFailing, "mes")]);
+    let cause = conditions.into_values().next().flatten().unwrap().cause.unwrap();
+    assert!(cause.starts_with("cannot connect to http://127.0.0.1:1: "), "{cause}");
 }

@@ -9,10 +9,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use clap::Args;
-use rcgen::{CertifiedKey, generate_simple_self_signed};
+use jiff::Timestamp;
 
 use super::token;
 use crate::access::{Role, TokenFile};
+use crate::config::DEFAULT_NAME;
+use crate::interfaces::self_signed::SelfSigned;
+use crate::model::Name;
 use crate::transport::host::{InvalidHost, check_host};
 
 /// Names of the files that `init` writes, in this order.
@@ -47,6 +50,9 @@ struct Names {
     /// A name or address that clients use for this host (repeatable) [default: the host's name, localhost and loopback]
     #[arg(long = "host", value_name = "NAME", value_parser = parse_host)]
     hosts: Vec<String>,
+    /// Name of the gateway, for the certificate [default: gateway]
+    #[arg(long = "name", value_name = "NAME")]
+    gateway: Option<Name>,
 }
 
 pub(super) fn run(args: &InitArgs, mut output: impl Write) -> anyhow::Result<()> {
@@ -58,11 +64,12 @@ pub(super) fn run(args: &InitArgs, mut output: impl Write) -> anyhow::Result<()>
         bail!("{} exists: choose another directory, or remove it", taken.display());
     }
     let hosts = names.all(Some(listen.ip()));
-    certify(directory, &hosts)?;
+    certify(directory, names, &hosts)?;
     let tokens = TokenFile::at(directory.join(TOKENS));
-    let secret = token::create(&tokens, "supervisor".parse()?, Role::Supervisor, BTreeSet::new(), None)?;
+    let supervisor = token::new_token("supervisor".parse()?, Role::Supervisor, BTreeSet::new(), None);
+    let secret = tokens.create(Timestamp::now(), supervisor)?;
     let config = directory.join(CONFIG);
-    write(&config, 0o644, &configuration(*listen, &hosts))?;
+    write(&config, 0o644, &configuration(*listen, names, &hosts))?;
     let shown = if listen.ip().is_unspecified() {
         hosts.first().cloned().unwrap_or_else(|| "localhost".to_owned())
     } else if listen.is_ipv6() {
@@ -87,7 +94,7 @@ pub(super) fn run(args: &InitArgs, mut output: impl Write) -> anyhow::Result<()>
 pub(super) fn certificate(args: &CertificateArgs, mut output: impl Write) -> anyhow::Result<()> {
     fs::create_dir_all(&args.directory).with_context(|| args.directory.display().to_string())?;
     let hosts = args.names.all(None);
-    certify(&args.directory, &hosts)?;
+    certify(&args.directory, &args.names, &hosts)?;
     Ok(writeln!(output, "wrote {CERTIFICATE} and {KEY} for {}", hosts.join(", "))?)
 }
 
@@ -111,10 +118,11 @@ impl Names {
     }
 }
 
-fn certify(directory: &Path, hosts: &[String]) -> anyhow::Result<()> {
-    let CertifiedKey { cert, signing_key } = generate_simple_self_signed(hosts).context("the certificate")?;
-    write(&directory.join(KEY), 0o600, &signing_key.serialize_pem())?;
-    write(&directory.join(CERTIFICATE), 0o644, &cert.pem())
+fn certify(directory: &Path, names: &Names, hosts: &[String]) -> anyhow::Result<()> {
+    let gateway = names.gateway.as_ref().map_or(DEFAULT_NAME, Name::as_str);
+    let SelfSigned { certificate, key } = SelfSigned::create(gateway, hosts, Timestamp::now())?;
+    write(&directory.join(KEY), 0o600, &key)?;
+    write(&directory.join(CERTIFICATE), 0o644, &certificate)
 }
 
 /// Writes a new file. An existing one is kept.
@@ -124,22 +132,24 @@ fn write(path: &Path, mode: u32, text: &str) -> anyhow::Result<()> {
     written.with_context(|| path.display().to_string())
 }
 
-fn configuration(listen: SocketAddr, hosts: &[String]) -> String {
-    let names: Vec<_> = hosts.iter().filter(|host| host.parse::<IpAddr>().is_err() && *host != "localhost").collect();
+fn configuration(listen: SocketAddr, names: &Names, hosts: &[String]) -> String {
+    let name = names.gateway.as_ref().map(|name| format!("name = \"{name}\"\n")).unwrap_or_default();
+    let hosts: Vec<_> = hosts.iter().filter(|host| host.parse::<IpAddr>().is_err() && *host != "localhost").collect();
     format!(
         "# A gateway on a network: clients need a token, and connections are encrypted.\n\
          # All keys are described in the guide \"Configuration\".\n\
          \n\
-         listen = \"{listen}\"\n\
+         {name}listen = \"{listen}\"\n\
          # Host names that browsers use for this gateway, besides its addresses.\n\
-         hosts = {names:?}\n\
+         hosts = {hosts:?}\n\
          \n\
          [tls]\n\
          certificate = \"{CERTIFICATE}\"\n\
          key = \"{KEY}\"\n\
+         # The gateway renews this certificate before it ends, unless clients trust exactly this file: pinned = true\n\
          \n\
          [access]\n\
-         # More tokens: wsg-gateway token create --config FILE --name plc7 --role operator\n\
+         # More tokens: wsg-gateway token create --config FILE --name plc7 --role operator --expires never\n\
          tokens = \"{TOKENS}\"\n\
          # Who may trigger a FAST STOP: \"credential\" for clients with any token, \"anyone\" for all.\n\
          fast_stop = \"credential\"\n\
@@ -156,7 +166,7 @@ mod tests {
     use crate::config::{Config, Flags};
 
     fn args(directory: &Path) -> InitArgs {
-        let names = Names { hosts: vec!["cell-7.example".to_owned()] };
+        let names = Names { hosts: vec!["cell-7.example".to_owned()], gateway: Some("cell-7".parse().unwrap()) };
         InitArgs { directory: directory.to_owned(), listen: "0.0.0.0:8443".parse().unwrap(), names }
     }
 
@@ -169,7 +179,8 @@ mod tests {
         assert!(said.contains("https://cell-7.example:8443/") && said.contains("wsg_"), "{said}");
         let flags = Flags { config: Some(directory.join(CONFIG)), ..Flags::default() };
         let config = Config::load(&flags).unwrap();
-        assert_eq!((config.hosts, config.listen.port()), (vec!["cell-7.example".to_owned()], 8443));
+        assert_eq!((config.web.hosts, config.listen.port()), (vec!["cell-7.example".to_owned()], 8443));
+        assert_eq!(config.name.as_str(), "cell-7");
         let again = run(&args(&directory), &mut Vec::new()).unwrap_err().to_string();
         assert!(again.contains("exists"), "{again}");
         fs::remove_dir_all(directory).unwrap();

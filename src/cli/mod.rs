@@ -1,5 +1,6 @@
 //! The command line: subcommands and flags.
 
+mod backup;
 mod decode;
 mod discover;
 mod doctor;
@@ -94,6 +95,11 @@ enum Command {
         #[arg(long, value_name = "URL", value_parser = parse_web_url, conflicts_with_all = ["file", "encode"])]
         follow: Option<Url>,
     },
+    /// Save everything that a gateway needs in one file: configuration, tokens, certificates, recipes, finger sets and
+    /// journal. A running gateway is not disturbed
+    Backup(backup::BackupArgs),
+    /// Write the files of a backup to their places
+    Restore(backup::RestoreArgs),
     /// List, follow, export, verify or back up the journal, even while the gateway runs
     Journal(journal::JournalArgs),
     /// Write man pages and shell completions below a directory
@@ -136,11 +142,8 @@ pub fn run() -> anyhow::Result<()> {
         Some(Command::Check { flags }) => check(&flags),
         Some(Command::Doctor(arguments)) => doctor::run(&arguments),
         Some(Command::Discover(arguments)) => discover::run(&arguments),
-        Some(Command::Openapi) => {
-            let document = serde_json::to_string_pretty(&interfaces::http::openapi())?;
-            quietly(writeln!(std::io::stdout(), "{document}"))
-        }
-        Some(Command::Asyncapi) => quietly(write!(std::io::stdout(), "{}", interfaces::http::asyncapi()?)),
+        Some(Command::Openapi) => quietly(write!(std::io::stdout(), "{}", interfaces::http::OPENAPI)),
+        Some(Command::Asyncapi) => quietly(write!(std::io::stdout(), "{}", interfaces::http::ASYNCAPI)),
         Some(Command::Decode { encode: Some(text), .. }) => {
             let frame = decode::encode(&text)?;
             quietly(writeln!(std::io::stdout(), "{frame}"))
@@ -162,6 +165,8 @@ pub fn run() -> anyhow::Result<()> {
             ensure!(wrong == 0, "lines that could not be decoded: {wrong} (each is marked in the output)");
             Ok(())
         }
+        Some(Command::Backup(arguments)) => backup::back_up_all(&arguments, std::io::stdout().lock()),
+        Some(Command::Restore(arguments)) => backup::restore(&arguments, std::io::stdout().lock()),
         Some(Command::Journal(journal)) => journal::run(&journal, std::io::stdout().lock()),
         Some(Command::PackageFiles { directory }) => package::write(&directory, Cli::command()),
         Some(Command::Reload(args)) => {

@@ -25,6 +25,7 @@ use url::Url;
 
 use crate::config::{Config, Flags};
 use crate::interfaces::tls::server_name;
+use crate::model::without_byte_order_mark;
 use crate::transport::host::{connect_to_host, parse_web_url};
 
 /// Time limit for connecting to any of the gateway's addresses.
@@ -59,6 +60,13 @@ pub(super) fn described(changes: &[String]) -> String {
     if changes.is_empty() { "no changes".to_owned() } else { changes.join("\n") }
 }
 
+/// Reads the token in a file.
+fn token_in(path: &Path) -> anyhow::Result<String> {
+    let text = fs::read(path).with_context(|| path.display().to_string())?;
+    let token = std::str::from_utf8(without_byte_order_mark(&text)).with_context(|| path.display().to_string())?;
+    Ok(token.to_owned())
+}
+
 /// Reloads, and returns the changes.
 ///
 /// # Errors
@@ -69,7 +77,7 @@ pub(super) async fn reload(args: &ReloadArgs) -> anyhow::Result<Vec<String>> {
     let config = config.transpose()?;
     let url = args.url.clone().map_or_else(|| url_of(config.as_ref()), Ok)?;
     let token = match &args.token_file {
-        Some(path) => Some(fs::read_to_string(path).with_context(|| path.display().to_string())?),
+        Some(path) => Some(token_in(path)?),
         None => std::env::var("WSG_GATEWAY_TOKEN").ok(),
     };
     let host = url.host_str().context("the URL has no host: write http://127.0.0.1:8080/")?;
@@ -119,7 +127,8 @@ fn url_of(config: Option<&Config>) -> anyhow::Result<Url> {
 fn trusting(path: &Path, host: &str) -> anyhow::Result<(ClientConfig, ServerName<'static>)> {
     let wrong = || format!("{} has no certificate in PEM", path.display());
     let pem = fs::read(path).with_context(|| path.display().to_string())?;
-    let certificates = CertificateDer::pem_slice_iter(&pem).collect::<Result<Vec<_>, _>>().with_context(wrong)?;
+    let pem = without_byte_order_mark(&pem);
+    let certificates = CertificateDer::pem_slice_iter(pem).collect::<Result<Vec<_>, _>>().with_context(wrong)?;
     let mut roots = RootCertStore::empty();
     for certificate in &certificates {
         roots.add(certificate.clone()).with_context(wrong)?;

@@ -9,9 +9,9 @@ use clap::{Args, Subcommand};
 use jiff::{Span, Timestamp, Zoned};
 use strum::VariantArray as _;
 
-use crate::access::{NewToken, Role, StoredToken, TokenFile, TokenSecret};
+use crate::access::{NewToken, Role, StoredToken, TokenFile};
 use crate::config::{AccessConfig, Config, Flags};
-use crate::gripper::model::Name;
+use crate::model::Name;
 
 /// Default lifetime of a token.
 const DEFAULT_EXPIRY: &str = "90d";
@@ -41,9 +41,9 @@ enum Command {
         /// A gripper that the token is for (repeatable) [default: all grippers]
         #[arg(long = "gripper", value_name = "NAME")]
         grippers: Vec<Name>,
-        /// Lifetime, e.g. 90d, 12h or never
-        #[arg(long, value_name = "TIME", default_value = DEFAULT_EXPIRY)]
-        expires: String,
+        /// Lifetime, e.g. 90d, 12h or never [default: 90d]. A machine's token that must not end needs never
+        #[arg(long, value_name = "TIME")]
+        expires: Option<String>,
         /// Create a PIN of six digits instead, which gives a signed-in panel this name, role and grippers
         #[arg(long)]
         pin: bool,
@@ -69,15 +69,19 @@ pub(super) fn run(args: &TokenArgs, mut output: impl Write) -> anyhow::Result<()
         }
     }
     match &args.command {
-        Command::Create { name, role, grippers, expires, pin: true } => {
-            let grippers = (!grippers.is_empty()).then(|| grippers.iter().cloned().collect());
-            let new = NewToken { name: name.clone(), role: *role, grippers, expires_at: expiry(expires)? };
-            Ok(writeln!(output, "{}", file.create_pin(Timestamp::now(), new)?.expose())?)
-        }
-        Command::Create { name, role, grippers, expires, pin: false } => {
+        Command::Create { name, role, grippers, expires, pin } => {
+            let expires_at = expiry(expires.as_deref().unwrap_or(DEFAULT_EXPIRY))?;
             let grippers: BTreeSet<_> = grippers.iter().cloned().collect();
-            let secret = create(&file, name.clone(), *role, grippers, expiry(expires)?)?;
-            Ok(writeln!(output, "{}", secret.expose())?)
+            let new = new_token(name.clone(), *role, grippers, expires_at);
+            let secret = if *pin {
+                file.create_pin(Timestamp::now(), new)?.expose().to_owned()
+            } else {
+                file.create(Timestamp::now(), new)?.expose().to_owned()
+            };
+            writeln!(output, "{secret}")?;
+            // Standard output has the secret alone, because scripts store it.
+            let _ = writeln!(std::io::stderr(), "{}", expiry_notice(name, expires_at, expires.is_some(), *pin));
+            Ok(())
         }
         Command::List => {
             for token in file.list()? {
@@ -94,16 +98,23 @@ fn role(text: &str) -> Result<Role, String> {
     text.parse().map_err(|_| format!("no role has this name: use one of {roles}"))
 }
 
-/// Creates a token for these grippers, or for all if the set is empty.
-pub(super) fn create(
-    file: &TokenFile,
-    name: Name,
-    role: Role,
-    grippers: BTreeSet<Name>,
-    expires_at: Option<Timestamp>,
-) -> anyhow::Result<TokenSecret> {
+/// Describes a token for these grippers, or for all if the set is empty.
+pub(super) fn new_token(name: Name, role: Role, grippers: BTreeSet<Name>, expires_at: Option<Timestamp>) -> NewToken {
     let grippers = (!grippers.is_empty()).then_some(grippers);
-    Ok(file.create(Timestamp::now(), NewToken { name, role, grippers, expires_at })?)
+    NewToken { name, role, grippers, expires_at }
+}
+
+/// Says when a new token ends, and how to get one that does not if nobody chose a lifetime. A PIN is a person's.
+fn expiry_notice(name: &Name, expires_at: Option<Timestamp>, is_chosen: bool, is_pin: bool) -> String {
+    let kind = if is_pin { "PIN" } else { "token" };
+    match expires_at {
+        None => format!("{kind} {name} does not expire"),
+        Some(at) if is_chosen || is_pin => format!("{kind} {name} expires on {at:.0}"),
+        Some(at) => format!(
+            "{kind} {name} expires on {at:.0}, and its client is then refused. For a machine that must not be refused: \
+             revoke {name}, and create it again with --expires never"
+        ),
+    }
 }
 
 /// Returns the file of tokens, and the configuration of its gateway.
@@ -161,6 +172,7 @@ mod tests {
     use clap::Parser;
 
     use super::*;
+    use crate::access::TokenSecret;
 
     #[derive(Parser)]
     struct Parsed {
@@ -196,6 +208,18 @@ mod tests {
         let unknown = |name: &str| unknown(&name.parse().unwrap(), &config);
         assert_eq!(unknown("left"), None);
         assert_eq!(unknown("lefft").unwrap(), "no gripper is named lefft: this gateway has left, right");
+    }
+
+    #[test]
+    fn end_of_a_new_token_is_said_and_how_to_avoid_it() {
+        let name = "plc7".parse().unwrap();
+        let at = Some("2027-02-27T12:00:00Z".parse().unwrap());
+        let unasked = expiry_notice(&name, at, false, false);
+        assert!(unasked.starts_with("token plc7 expires on 2027-02-27T12:00:00Z, and its client"), "{unasked}");
+        assert!(unasked.ends_with("revoke plc7, and create it again with --expires never"), "{unasked}");
+        assert_eq!(expiry_notice(&name, at, true, false), "token plc7 expires on 2027-02-27T12:00:00Z");
+        assert_eq!(expiry_notice(&name, at, false, true), "PIN plc7 expires on 2027-02-27T12:00:00Z");
+        assert_eq!(expiry_notice(&name, None, true, false), "token plc7 does not expire");
     }
 
     #[test]

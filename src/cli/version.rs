@@ -4,16 +4,15 @@ use crate::fleet::keys;
 use crate::interfaces::{http, websocket};
 use crate::journal;
 
-/// Commit that the program was built from. `deploy/package` sets it.
-const COMMIT: Option<&str> = option_env!("WSG_GATEWAY_COMMIT");
+/// Commit that the program was built from. `deploy/build.rs` sets it.
+const COMMIT: &str = env!("WSG_GATEWAY_COMMIT");
 
 /// Returns the text of `--version`, which follows the program's name.
 pub(super) fn long() -> String {
     let version = env!("CARGO_PKG_VERSION");
-    let commit = COMMIT.filter(|commit| !commit.is_empty()).unwrap_or("unknown");
     let (http, websocket, zenoh, journal) = (http::API, websocket::SUBPROTOCOL, keys::ROOT, journal::VERSION);
     format!(
-        "{version}\ncommit: {commit}\ndevice protocol: WSG, firmware 2 and 4\nHTTP API: {http}\n\
+        "{version}\ncommit: {COMMIT}\ndevice protocol: WSG, firmware 2 and 4\nHTTP API: {http}\n\
          WebSocket: {websocket}\nZenoh: {zenoh}\njournal format: {journal}"
     )
 }

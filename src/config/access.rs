@@ -1,32 +1,19 @@
 //! Credentials in the configuration: the file of tokens, clients by address, and TLS.
 
 use std::net::SocketAddr;
-use std::path::PathBuf;
-use std::time::Duration;
+use std::path::{Path, PathBuf};
 
-use serde::Deserialize;
 use toml::Spanned;
 
-use super::journal::bounded;
-use super::networks::parse_network;
-use super::{ConfigError, ConfigPlace, File, Flags, GripperConfig, Placed};
+use super::{ConfigError, ConfigPlace, Content, File, Flags, GripperConfig, Placed, blank};
 use crate::access::{ClientMatch, FastStopPolicy, KnownClient, Role, Scope, SessionTimes};
-use crate::gripper::model::Name;
+use crate::interfaces::networks::parse_network;
+use crate::interfaces::tls::TlsFiles;
+use crate::model::Name;
+use crate::settings::{flag, optional, required, settings};
 
 /// Name of the file of tokens, beside the configuration file.
 const DEFAULT_TOKENS: &str = "tokens.json";
-
-/// Default time after which the session of an idle browser ends: a shift.
-const DEFAULT_SESSION_IDLE: Duration = Duration::from_hours(8);
-
-/// Longest configurable idle time of a session, in hours.
-const MAX_SESSION_IDLE_H: u64 = 30 * 24;
-
-/// Default time after which the rights of a PIN end: long enough for a task at the panel, short enough after it.
-const DEFAULT_PIN_IDLE: Duration = Duration::from_mins(5);
-
-/// Longest configurable idle time of a PIN's rights, in minutes.
-const MAX_PIN_IDLE_MIN: u64 = 8 * 60;
 
 /// Whether clients need credentials.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -47,100 +34,71 @@ pub struct Guarded {
     pub times: SessionTimes,
 }
 
-/// Files for TLS, in PEM.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct TlsConfig {
-    /// The server's certificate, followed by those that certify it.
-    pub certificate: PathBuf,
-    /// The certificate's private key.
-    pub key: PathBuf,
-    /// Certificates of the authorities that sign clients' certificates; clients need none if `None`.
-    pub client_ca: Option<PathBuf>,
-}
-
-/// Places of the files for TLS in the configuration.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct TlsPlaces {
-    pub certificate: ConfigPlace,
-    pub key: ConfigPlace,
-    /// Place of the certificate if there is none.
-    pub client_ca: ConfigPlace,
-}
-
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct AccessContent {
-    tokens: Option<PathBuf>,
-    fast_stop: Option<FastStopPolicy>,
-    zenoh_role: Option<Role>,
-    session_idle_h: Option<Spanned<u64>>,
-    pin_idle_min: Option<Spanned<u64>>,
-}
-
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct ClientContent {
-    name: Spanned<String>,
-    address: Option<Spanned<String>>,
-    certificate: Option<String>,
-    role: Role,
-    grippers: Option<Vec<Spanned<String>>>,
-}
-
-impl ClientContent {
-    pub(super) fn has_address(&self) -> bool {
-        self.address.is_some()
-    }
-
-    fn grippers(&self) -> impl Iterator<Item = &Spanned<String>> {
-        self.grippers.iter().flatten()
+settings! {
+    pub(super) struct AccessContent {
+        /// File of tokens, relative to the directory of the configuration file. Create it as the service's user:
+        /// `sudo -u wsg-gateway wsg-gateway token create …`
+        tokens: Option<PathBuf> = "tokens", optional("a path", "\"/var/lib/wsg-gateway/tokens.json\"")
+            .shown("`\"tokens.json\"`", "\"/var/lib/wsg-gateway/tokens.json\""), Reload;
+        /// Clients that may trigger a [FAST STOP](access.md#fast-stop): `anyone`, or those with a `credential`.
+        fast_stop: Option<FastStopPolicy> = "fast_stop", optional("`\"anyone\"`, `\"credential\"`", "\"credential\"")
+            .shown("`\"anyone\"` on loopback, else `\"credential\"`", "\"credential\""), Reload;
+        /// Role of Zenoh clients without a token.
+        zenoh_role: Option<Role> = "zenoh_role", optional("a [role](access.md#roles)", "\"observer\"")
+            .shown("`\"observer\"`", "\"observer\""), Reload;
+        group times: SessionTimes;
     }
 }
 
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct TlsContent {
-    certificate: Spanned<PathBuf>,
-    key: Spanned<PathBuf>,
-    client_ca: Option<Spanned<PathBuf>>,
+settings! {
+    pub(super) struct ClientContent {
+        /// Name of the client.
+        name: Spanned<String> = "name", required(blank(), "a name", "\"plc7\""), Reload;
+        /// Address of the client. If several sections contain it, the first one counts.
+        pub(super) address: Option<Spanned<String>> = "address",
+            optional("an IP address or a network such as `192.168.1.0/24`", "\"192.168.1.10\""), Reload;
+        /// Common name of the client's certificate. Needs `client_ca`.
+        certificate: Option<String> = "certificate", optional("a common name", ""), Reload;
+        /// Role of the client.
+        role: Role = "role", required(Role::Observer, "a [role](access.md#roles)", "\"operator\""), Reload;
+        /// Grippers that the client may stop, move or change.
+        grippers: Option<Vec<Spanned<String>>> = "grippers",
+            optional("names of grippers", "[\"left\"]").shown("all", "[\"left\"]"), Reload;
+    }
+}
+
+settings! {
+    pub(super) struct TlsContent {
+        /// Certificate in PEM form, followed by those that certify it.
+        pub(super) certificate: Spanned<PathBuf> = "certificate",
+            required(blank(), "a path", "\"/etc/wsg-gateway/certificate.pem\""), Reload;
+        /// Private key of the certificate, in PEM form. The file must not be readable by everyone.
+        pub(super) key: Spanned<PathBuf> = "key", required(blank(), "a path", "\"/etc/wsg-gateway/key.pem\""), Reload;
+        /// Certificates of the authorities that sign clients' certificates, in PEM form.
+        pub(super) client_ca: Option<Spanned<PathBuf>> = "client_ca",
+            optional("a path", "\"/etc/wsg-gateway/clients-ca.pem\""), Reload;
+        /// Whether clients trust exactly this certificate.
+        pinned: bool = "pinned", flag(false), Reload;
+    }
+}
+
+/// File of tokens in a configuration file, relative to its directory; `None` if clients need no credentials.
+pub(super) fn tokens(content: &Content) -> Option<&Path> {
+    let access = content.access.as_ref();
+    let asks = access.is_some() || !content.clients.is_empty();
+    let named = access.and_then(|access| access.tokens.as_deref());
+    asks.then(|| named.unwrap_or_else(|| Path::new(DEFAULT_TOKENS)))
 }
 
 impl AccessConfig {
     /// Merges the flags with the file. Clients need credentials if either mentions them.
-    pub(super) fn merge(flags: &Flags, file: Option<&File>, listen: SocketAddr) -> Result<Self, ConfigError> {
-        let content = file.and_then(|file| file.content.access.as_ref());
-        let clients = file.map(clients).transpose()?.unwrap_or_default();
-        let in_file = file.filter(|_| content.is_some() || !clients.is_empty()).map(|file| {
-            let tokens = content.and_then(|content| content.tokens.clone());
-            file.beside(&tokens.unwrap_or_else(|| DEFAULT_TOKENS.into()))
-        });
+    pub(super) fn merge(flags: &Flags, file: &File, listen: SocketAddr) -> Result<Self, ConfigError> {
+        let clients = clients(file)?;
+        let in_file = tokens(&file.content).map(|tokens| file.beside(tokens));
         let Some(tokens) = flags.tokens.clone().or(in_file) else { return Ok(Self::Open) };
         let default = if listen.ip().is_loopback() { FastStopPolicy::Anyone } else { FastStopPolicy::Credential };
-        let idle = bounded(
-            file,
-            "session_idle_h",
-            content.and_then(|content| content.session_idle_h.as_ref()),
-            1..=MAX_SESSION_IDLE_H,
-            "choose how long an unused browser stays signed in",
-        )?;
-        let pin_idle = bounded(
-            file,
-            "pin_idle_min",
-            content.and_then(|content| content.pin_idle_min.as_ref()),
-            1..=MAX_PIN_IDLE_MIN,
-            "choose how long the rights of an unused PIN last",
-        )?;
-        let times = SessionTimes {
-            idle: idle.map_or(DEFAULT_SESSION_IDLE, Duration::from_hours),
-            pin_idle: pin_idle.map_or(DEFAULT_PIN_IDLE, Duration::from_mins),
-        };
-        Ok(Self::Guarded(Guarded {
-            tokens,
-            clients,
-            fast_stop: content.and_then(|content| content.fast_stop).unwrap_or(default),
-            zenoh_role: content.and_then(|content| content.zenoh_role),
-            times,
-        }))
+        let AccessContent { fast_stop, zenoh_role, times, .. } = file.content.access.clone().unwrap_or_default();
+        Ok(Self::Guarded(Guarded { tokens, clients, fast_stop: fast_stop.unwrap_or(default), zenoh_role, times }))
     }
 }
 
@@ -174,32 +132,35 @@ fn clients(file: &File) -> Result<Vec<KnownClient>, ConfigError> {
     file.content.clients.iter().map(parse).collect()
 }
 
-pub(super) fn tls(file: Option<&File>) -> Option<TlsConfig> {
-    let (file, tls) = file.and_then(|file| Some((file, file.content.tls.as_ref()?)))?;
+pub(super) fn tls(file: &File) -> Option<TlsFiles> {
+    let tls = file.content.tls.as_ref()?;
     let beside = |path: &Spanned<PathBuf>| file.beside(path.get_ref());
     let client_ca = tls.client_ca.as_ref().map(beside);
-    Some(TlsConfig { certificate: beside(&tls.certificate), key: beside(&tls.key), client_ca })
+    Some(TlsFiles { certificate: beside(&tls.certificate), key: beside(&tls.key), client_ca, pinned: tls.pinned })
 }
 
-pub(super) fn tls_places(file: Option<&File>) -> Option<TlsPlaces> {
-    let (file, tls) = file.and_then(|file| Some((file, file.content.tls.as_ref()?)))?;
-    let place = |path: &Spanned<PathBuf>| file.place(path.span().start);
-    let client_ca = place(tls.client_ca.as_ref().unwrap_or(&tls.certificate));
-    Some(TlsPlaces { certificate: place(&tls.certificate), key: place(&tls.key), client_ca })
-}
-
-/// Returns the names in `[[clients]]` that no gripper has. A client can wait for its gripper, so these are no errors.
-pub(super) fn unknown_grippers(file: Option<&File>, grippers: &[GripperConfig]) -> Vec<ConfigError> {
-    let Some(file) = file else { return Vec::new() };
-    let is_unknown = |name: &&Spanned<String>| !grippers.iter().any(|gripper| gripper.name.as_str() == name.get_ref());
-    let names: Vec<_> = grippers.iter().map(|gripper| gripper.name.as_str()).collect();
-    let warning = |(client, name): (&ClientContent, &Spanned<String>)| {
-        let (client, gripper, names) = (client.name.get_ref(), name.get_ref(), names.join(", "));
-        let detail = format!("client {client} names the unknown gripper {gripper}: this gateway has {names}");
-        ConfigError::at(&file.place(name.span().start), detail)
+pub(super) fn tls_places(file: &File) -> Vec<(PathBuf, &'static str, ConfigPlace)> {
+    let Some(tls) = &file.content.tls else { return Vec::new() };
+    let keys =
+        [("certificate", Some(&tls.certificate)), ("key", Some(&tls.key)), ("client_ca", tls.client_ca.as_ref())];
+    let place = |(key, path): (_, Option<&Spanned<PathBuf>>)| {
+        path.map(|path| (file.beside(path.get_ref()), key, file.place(path.span().start)))
     };
-    let of_client = |client| ClientContent::grippers(client).filter(is_unknown).map(move |name| (client, name));
-    file.content.clients.iter().flat_map(of_client).map(warning).collect()
+    keys.into_iter().filter_map(place).collect()
+}
+
+/// Returns the names in `[[clients]]` that no gripper has. A client can wait for its gripper, so these are not errors.
+pub(super) fn unknown_grippers(file: &File, grippers: &[GripperConfig]) -> Vec<ConfigError> {
+    let names: Vec<_> = grippers.iter().map(|gripper| gripper.name.as_str()).collect();
+    let mut warnings = Vec::new();
+    for client in &file.content.clients {
+        for name in client.grippers.iter().flatten().filter(|name| !names.contains(&name.get_ref().as_str())) {
+            let (client, gripper, names) = (client.name.get_ref(), name.get_ref(), names.join(", "));
+            let detail = format!("client {client} names the unknown gripper {gripper}: this gateway has {names}");
+            warnings.push(ConfigError::at(&file.place(name.span().start), detail));
+        }
+    }
+    warnings
 }
 
 /// Checks that clients on an address other than loopback need credentials, which are not sent in the clear.

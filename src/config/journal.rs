@@ -1,42 +1,44 @@
-//! Settings of the journal: place, retention, and the treatment of motions while it cannot be written.
+//! Settings of the journal: place and retention.
 
 use std::ffi::OsString;
-use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use etcetera::BaseStrategy;
 use toml::Spanned;
 
-use super::{ConfigError, ConfigPlace, DEFAULT_NAME, File, Flags};
-use crate::gripper::model::{Name, OnJournalFailure};
-
-/// Highest configurable age of records, in days: a century.
-const MAX_AGE_DAYS: u64 = 36_525;
-
-/// Highest configurable file size, in MB: what SQLite can address with pages of 4 KiB.
-const MAX_SIZE_MB: u64 = 16_000_000;
+use super::{Config, ConfigError, ConfigPlace, DEFAULT_NAME, File, Flags};
+pub use crate::journal::JournalLocation;
+use crate::model::Name;
+use crate::settings::{between, optional, optional_whole, settings};
 
 /// Default limit of the file size, in MB. It holds millions of records, and keeps a client that floods the gateway
 /// from filling the disk.
 const DEFAULT_SIZE_MB: u64 = 4096;
 
+settings! {
+    pub(super) struct JournalContent {
+        /// Journal file, or `":memory:"`; the same as `--journal`. A relative path is relative to the working directory.
+        path: Option<Spanned<String>> = "journal", optional("a path, or `\":memory:\"`", "\"/var/lib/wsg-gateway/gateway.db\"")
+            .shown("see below", "\"/var/lib/wsg-gateway/gateway.db\""), Restart;
+        /// Age in days after which records are removed. By default, no record is removed because of its age.
+        max_age: Option<Duration> = "journal_max_age_days",
+            optional_whole(365, between(1..=36_525, "leave it out to keep everything"), |days| Duration::from_hours(24 * days)), Restart;
+        /// Size of the journal in MB beyond which the oldest records are removed. 0 means no limit.
+        // Up to what SQLite can address with pages of 4 KiB.
+        max_size_mb: Option<u64> = "journal_max_size_mb",
+            optional_whole(DEFAULT_SIZE_MB, between(0..=16_000_000, "0 means unlimited"), |mb| mb)
+            .shown("`4096`", "4096"), Restart;
+    }
+}
+
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct JournalConfig {
-    pub place: JournalPlace,
-    /// Treatment of motions while the journal cannot be written.
-    pub on_failure: OnJournalFailure,
+    pub place: JournalLocation,
     /// Age at which records are removed; `None` keeps them for ever.
     pub max_age: Option<Duration>,
     /// Size limit of the file in bytes; `None` means unlimited.
     pub max_bytes: Option<u64>,
-}
-
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum JournalPlace {
-    File(PathBuf),
-    /// Memory, until the gateway ends.
-    Memory,
 }
 
 /// Flags that select the journal that a subcommand reads.
@@ -48,6 +50,9 @@ pub struct JournalFlags {
     /// Name of the gateway [default: gateway]
     #[arg(long, value_name = "NAME", env = "WSG_GATEWAY_NAME", global = true)]
     pub name: Option<String>,
+    /// Configuration file of the gateway, which names its journal
+    #[arg(long, value_name = "FILE", env = "WSG_GATEWAY_CONFIG", global = true)]
+    pub config: Option<PathBuf>,
 }
 
 impl JournalFlags {
@@ -56,72 +61,56 @@ impl JournalFlags {
     /// # Errors
     /// [`ConfigError`] if the journal has no file.
     pub fn path(&self) -> Result<PathBuf, ConfigError> {
-        let name = self.name.as_deref().unwrap_or(DEFAULT_NAME);
-        let name = name.parse().map_err(|error| ConfigError::at(&ConfigPlace::Flag("--name"), error))?;
-        match place(self.journal.as_deref(), &ConfigPlace::Flag("--journal"), &name)? {
-            JournalPlace::File(path) => Ok(path),
-            JournalPlace::Memory => {
+        match self.place()? {
+            JournalLocation::File(path) => Ok(path),
+            JournalLocation::Memory => {
                 let detail = "a journal in memory can be read over HTTP only: name a file";
                 Err(ConfigError::at(&ConfigPlace::Flag("--journal"), detail))
             }
         }
     }
+
+    fn place(&self) -> Result<JournalLocation, ConfigError> {
+        if let Some(config) = self.config.clone().filter(|_| self.journal.is_none()) {
+            let flags = Flags { config: Some(config), name: self.name.clone(), ..Flags::default() };
+            return Ok(Config::load(&flags)?.journal.place);
+        }
+        let name = self.name.as_deref().unwrap_or(DEFAULT_NAME);
+        let name = name.parse().map_err(|error| ConfigError::at(&ConfigPlace::Flag("--name"), error))?;
+        place(self.journal.as_deref(), &ConfigPlace::Flag("--journal"), &name)
+    }
+
+    /// Whether no flag says which gateway's journal it is.
+    #[must_use]
+    pub fn is_default(&self) -> bool {
+        self.journal.is_none() && self.name.is_none() && self.config.is_none()
+    }
 }
 
 impl JournalConfig {
-    pub(super) fn merge(flags: &Flags, file: Option<&File>, name: &Name) -> Result<Self, ConfigError> {
-        let in_file = file.and_then(|file| Some((file, file.content.journal.as_ref()?)));
-        let place = match (&flags.journal, in_file) {
-            (Some(path), _) => place(Some(path), &ConfigPlace::Flag("--journal"), name)?,
-            (None, Some((file, path))) => place(Some(path.get_ref()), &file.place(path.span().start), name)?,
-            (None, None) => place(None, &ConfigPlace::Default, name)?,
+    pub(super) fn merge(flags: &Flags, file: &File, name: &Name) -> Result<Self, ConfigError> {
+        let JournalContent { path, max_age, max_size_mb } = &file.content.journal;
+        let place = match file.pick(flags.journal.as_ref(), "--journal", path.as_ref()) {
+            Some(path) => place(Some(&path.value), &path.place, name)?,
+            None => place(None, &ConfigPlace::Default, name)?,
         };
-        let content = file.map(|file| &file.content);
-        let max_age_days = content.and_then(|content| content.journal_max_age_days.as_ref());
-        let max_size_mb = content.and_then(|content| content.journal_max_size_mb.as_ref());
-        let max_age_days =
-            bounded(file, "journal_max_age_days", max_age_days, 1..=MAX_AGE_DAYS, "leave it out to keep everything")?;
-        let remedy = "0 means unlimited";
-        let max_size_mb = bounded(file, "journal_max_size_mb", max_size_mb, 0..=MAX_SIZE_MB, remedy)?;
         // A journal in memory has a limit of its own.
-        let default = matches!(place, JournalPlace::File(_)).then_some(DEFAULT_SIZE_MB);
+        let default = matches!(place, JournalLocation::File(_)).then_some(DEFAULT_SIZE_MB);
         let max_size_mb = max_size_mb.or(default).filter(|megabytes| *megabytes > 0);
-        Ok(Self {
-            place,
-            on_failure: content.map(|content| content.on_journal_failure).unwrap_or_default(),
-            max_age: max_age_days.map(|days| Duration::from_hours(days * 24)),
-            max_bytes: max_size_mb.map(|megabytes| megabytes * 1_000_000),
-        })
+        Ok(Self { place, max_age: *max_age, max_bytes: max_size_mb.map(|megabytes| megabytes * 1_000_000) })
     }
 }
 
-/// Returns a number from the file, or an error if it is out of range.
-pub(super) fn bounded(
-    file: Option<&File>,
-    key: &str,
-    value: Option<&Spanned<u64>>,
-    allowed: RangeInclusive<u64>,
-    remedy: &str,
-) -> Result<Option<u64>, ConfigError> {
-    let Some((file, value)) = file.zip(value) else { return Ok(None) };
-    if allowed.contains(value.get_ref()) {
-        return Ok(Some(*value.get_ref()));
-    }
-    let (least, most) = allowed.into_inner();
-    let detail = format!("{key} is {}; it must be from {least} to {most}: {remedy}", value.get_ref());
-    Err(ConfigError::at(&file.place(value.span().start), detail))
-}
-
-fn place(journal: Option<&str>, said: &ConfigPlace, name: &Name) -> Result<JournalPlace, ConfigError> {
+fn place(journal: Option<&str>, said: &ConfigPlace, name: &Name) -> Result<JournalLocation, ConfigError> {
     match journal {
-        Some(":memory:") => Ok(JournalPlace::Memory),
+        Some(":memory:") => Ok(JournalLocation::Memory),
         Some("") => Err(ConfigError::at(said, "the journal's path is empty: write a path, or :memory:")),
-        Some(path) => Ok(JournalPlace::File(path.into())),
+        Some(path) => Ok(JournalLocation::File(path.into())),
         None => {
             let home = etcetera::base_strategy::Xdg::new().ok().and_then(|directories| directories.state_dir());
             let path = default_path(std::env::var_os("STATE_DIRECTORY"), home.as_deref(), name);
             let none = "HOME is not set, so the journal has no directory: pass --journal PATH or --journal :memory:";
-            path.map(JournalPlace::File).ok_or_else(|| ConfigError::at(said, none))
+            path.map(JournalLocation::File).ok_or_else(|| ConfigError::at(said, none))
         }
     }
 }
@@ -157,10 +146,18 @@ mod tests {
 
     #[test]
     fn subcommand_reads_only_a_file() {
-        let flags = |journal: &str| JournalFlags { journal: Some(journal.to_owned()), name: None };
-        assert_eq!(flags("j.db").path(), Ok("j.db".into()));
-        assert!(flags(":memory:").path().unwrap_err().to_string().contains("name a file"));
-        let named = JournalFlags { journal: None, name: Some("Cell 7".to_owned()) };
+        let file = JournalFlags { journal: Some("j.db".to_owned()), ..JournalFlags::default() };
+        assert_eq!(file.path(), Ok("j.db".into()));
+        let memory = JournalFlags { journal: Some(":memory:".to_owned()), ..JournalFlags::default() };
+        assert!(memory.path().unwrap_err().to_string().contains("name a file"));
+        let directory = std::env::temp_dir().join(format!("wsg-journal-flags-{}", std::process::id()));
+        std::fs::create_dir_all(&directory).unwrap();
+        let config = directory.join("gateway.toml");
+        std::fs::write(&config, "journal = \"cell.db\"\n").unwrap();
+        let configured = JournalFlags { config: Some(config), ..JournalFlags::default() };
+        assert_eq!(configured.path(), Ok("cell.db".into()));
+        std::fs::remove_dir_all(directory).unwrap();
+        let named = JournalFlags { name: Some("Cell 7".to_owned()), ..JournalFlags::default() };
         assert!(named.path().unwrap_err().to_string().starts_with("--name: \"Cell 7\" is not a valid name"));
     }
 }

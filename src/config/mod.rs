@@ -3,69 +3,46 @@
 //! Everything is validated once, here; nothing else reads flags, the environment or the file. An error names its place
 //! and its remedy.
 
-use std::collections::BTreeSet;
 use std::fmt;
 use std::net::SocketAddr;
-use std::ops::RangeInclusive;
-use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::path::PathBuf;
 
-use serde::Deserialize;
 use toml::Spanned;
-use url::Url;
 
-use crate::gripper::model::{
-    CustomIds, LeaseRules, Name, OnJournalFailure, OnLossHolding, OnLossMoving, UpdateMode, UpdateRules,
-};
+use crate::interfaces::http::WebSettings;
+use crate::interfaces::tls::TlsFiles;
+use crate::model::{GripperRules, Name, SharedRules};
+use crate::settings::{flag, named_sections, optional, required, section, sections, settings};
 use crate::transport::Address;
 use crate::wear::DriftLimits;
 use crate::webhooks::WebhookSettings;
 
 mod access;
-mod drift;
 mod error;
 mod file;
 #[cfg(any(test, fuzzing))]
 pub(crate) mod fuzz;
-mod hosts;
 mod journal;
 mod modbus;
-mod networks;
-mod public_url;
+mod named_files;
 mod webhooks;
 mod wsg_port;
 mod zenoh;
 
-pub use access::{AccessConfig, Guarded, TlsConfig, TlsPlaces};
+pub use access::{AccessConfig, Guarded};
 pub use error::{ConfigError, ConfigPlace};
 pub use file::File;
-pub use journal::{JournalConfig, JournalFlags, JournalPlace};
-pub use modbus::Modbus;
-pub use wsg_port::{AcknowledgePolicy, LimitsPolicy, WsgAddress, WsgPort};
+pub use journal::{JournalConfig, JournalFlags, JournalLocation};
+pub use modbus::{Modbus, ModbusRules};
+pub use named_files::named_files;
+pub use wsg_port::WsgPort;
 pub use zenoh::{Zenoh, ZenohFlags, ZenohMode};
 
 /// Default address of HTTP.
 const DEFAULT_LISTEN: &str = "127.0.0.1:8080";
 
-const DEFAULT_NAME: &str = "gateway";
-
-/// Default time for a running command to finish at shutdown.
-const DEFAULT_DRAIN: Duration = Duration::from_secs(2);
-
-/// Longest configurable drain, since the shutdown waits for it.
-const LONGEST_DRAIN: Duration = Duration::from_mins(1);
-
-/// Default pause between motions. Users report errors of some grippers at shorter pauses.
-const DEFAULT_MOTION_PAUSE: Duration = Duration::from_millis(50);
-
-/// Longest configurable pause between motions, since a waiting motion blocks the next one.
-const LONGEST_MOTION_PAUSE: Duration = Duration::from_secs(1);
-
-/// Default time after which an idle HTTP connection is closed.
-const DEFAULT_IDLE_TIMEOUT: Duration = Duration::from_secs(10);
-
-/// Idle times that can be configured, in seconds. A slow request header can occupy its connection for this time.
-const IDLE_TIMEOUTS_S: RangeInclusive<u64> = 1..=3600;
+/// Default name of the gateway.
+pub const DEFAULT_NAME: &str = "gateway";
 
 /// Default grippers: two simulated ones with a force finger each, one with a part in reach.
 const DEFAULT_GRIPPERS: [&str; 2] = ["left=sim://wsg50?part_mm=20&finger1=fmf", "right=sim://wsg50?finger1=fmf"];
@@ -113,27 +90,14 @@ pub struct Config {
     pub name: Name,
     /// Address that HTTP is served on.
     pub listen: SocketAddr,
-    /// Allowed values of `Host`, besides addresses and `localhost`.
-    pub hosts: Vec<String>,
-    /// Origins of foreign pages that can use the API (CORS).
-    pub cors_origins: Vec<String>,
-    /// Origins of pages that can show the dashboard in a frame.
-    pub frame_ancestors: Vec<String>,
+    pub web: WebSettings,
     /// Whether clients need credentials.
     pub access: AccessConfig,
     /// `None` if connections are not encrypted.
-    pub tls: Option<TlsConfig>,
-    /// Places of these files in the configuration.
-    pub tls_places: Option<TlsPlaces>,
-    /// Time after which an idle HTTP connection is closed.
-    pub idle_timeout: Duration,
-    /// URL at which users of other gateways reach this dashboard.
-    pub public_url: Option<Url>,
-    /// Whether the gateway announces itself on the local network (mDNS).
-    pub mdns: bool,
+    pub tls: Option<TlsFiles>,
+    /// The files for TLS, with their keys and places in the configuration.
+    pub tls_places: Vec<(PathBuf, &'static str, ConfigPlace)>,
     pub grippers: Vec<GripperConfig>,
-    /// Time for a running command to finish at shutdown.
-    pub drain: Duration,
     /// Drift limits of contact widths; `None` if drift is not watched.
     pub drift: Option<DriftLimits>,
     pub journal: JournalConfig,
@@ -151,15 +115,7 @@ pub struct Config {
 pub struct GripperConfig {
     pub name: Name,
     pub device: DeviceSource,
-    /// Whether the device's setting "FAST STOP on TCP disconnect" is on (`fw4-en 1.4.2`).
-    pub fast_stop_on_disconnect: bool,
-    /// Meaning of the ids of the gripper's scripts.
-    pub custom_ids: CustomIds,
-    pub updates: UpdateRules,
-    /// Pause between the end of a motion and the next one.
-    pub motion_pause: Duration,
-    /// Lease terms that clients can choose.
-    pub lease: LeaseRules,
+    pub rules: GripperRules,
     pub wsg_port: WsgPort,
     /// Unit identifier on Modbus; `None` for any.
     pub modbus_unit: Option<u8>,
@@ -220,28 +176,24 @@ impl Config {
     }
 
     fn merge(flags: &Flags, file: Option<&File>) -> Result<Self, ConfigError> {
-        let content = file.map(|file| &file.content);
-        let pick = |flag: &Option<String>, name: &'static str, in_file: Option<&Spanned<String>>, default: &str| match (
-            flag, file, in_file,
-        ) {
-            (Some(value), ..) => Placed { value: value.clone(), place: ConfigPlace::Flag(name) },
-            (None, Some(file), Some(value)) => {
-                Placed { value: value.get_ref().clone(), place: file.place(value.span().start) }
-            }
-            _ => Placed { value: default.to_owned(), place: ConfigPlace::Default },
-        };
-        let name = pick(&flags.name, "--name", content.and_then(|content| content.name.as_ref()), DEFAULT_NAME);
+        let no_file = File::default();
+        let file = file.unwrap_or(&no_file);
+        let content = &file.content;
+        let default = |text: &str| Placed { value: text.to_owned(), place: ConfigPlace::Default };
+        let name = file.pick(flags.name.as_ref(), "--name", content.name.as_ref());
+        let name = name.unwrap_or_else(|| default(DEFAULT_NAME));
         let name: Name = name.value.parse().map_err(|error| ConfigError::at(&name.place, error))?;
-        let listen =
-            pick(&flags.listen, "--listen", content.and_then(|content| content.listen.as_ref()), DEFAULT_LISTEN);
-        let insecure = flags.insecure || content.is_some_and(|content| content.insecure);
-        let listen = parse_listen(&listen)?;
-        let (access, tls) = (AccessConfig::merge(flags, file, listen.value)?, access::tls(file));
+        let listen = file.pick(flags.listen.as_ref(), "--listen", content.listen.as_ref());
+        let Placed { value, place } = listen.unwrap_or_else(|| default(DEFAULT_LISTEN));
+        let listen = Placed { value: parse_address(&value, "127.0.0.1:8080 or [::1]:8080", &place)?, place };
+        let insecure = flags.insecure || content.insecure;
+        let access = AccessConfig::merge(flags, file, listen.value)?;
+        let tls = access::tls(file);
         if !insecure {
-            let insecure_http = content.is_some_and(|content| content.insecure_http);
-            access::check_exposure(&listen, &access, tls.is_some(), insecure_http)?;
+            access::check_exposure(&listen, &access, tls.is_some(), content.insecure_http)?;
         }
         let grippers = grippers(flags, file, insecure)?;
+        let drift = content.drift.clone().unwrap_or_default();
         let config = Self {
             warnings: access::unknown_grippers(file, &grippers),
             journal: JournalConfig::merge(flags, file, &name)?,
@@ -250,45 +202,16 @@ impl Config {
             access,
             tls,
             tls_places: access::tls_places(file),
-            hosts: hosts::hosts(file)?,
-            cors_origins: origins(file, "cors_origins", |content| &content.cors_origins)?,
-            frame_ancestors: origins(file, "frame_ancestors", |content| &content.frame_ancestors)?,
-            idle_timeout: idle_timeout(file)?,
-            public_url: public_url::public_url(file)?,
-            mdns: content.is_some_and(|content| content.mdns),
+            web: content.web.clone(),
             grippers,
-            drain: drain(file)?,
-            drift: drift::limits(file)?,
+            drift: drift.warnings.then_some(drift.limits),
             modbus: Modbus::merge(flags, file, insecure || has_known_addresses(file))?,
             zenoh: Zenoh::merge(flags, file, insecure)?,
-            webhooks: file.map(webhooks::settings).transpose()?.unwrap_or_default(),
+            webhooks: webhooks::settings(file)?,
         };
         wsg_port::check_reply_ports(&config)?;
         Ok(config)
     }
-}
-
-/// Returns a list of origins.
-fn origins(
-    file: Option<&File>,
-    key: &str,
-    list: impl Fn(&Content) -> &Vec<Spanned<String>>,
-) -> Result<Vec<String>, ConfigError> {
-    let Some(file) = file else { return Ok(Vec::new()) };
-    let origin = |text: &Spanned<String>| {
-        let origin = text.get_ref().parse::<url::Url>().ok().map(|url| url.origin().ascii_serialization());
-        let is_web = |origin: &String| origin.starts_with("http") && origin == text.get_ref();
-        origin.filter(is_web).ok_or_else(|| {
-            let detail = format!("{key} has {:?}: write an origin such as https://hmi.example", text.get_ref());
-            ConfigError::at(&file.place(text.span().start), detail)
-        })
-    };
-    list(&file.content).iter().map(origin).collect()
-}
-
-fn parse_listen(listen: &Placed<String>) -> Result<Placed<SocketAddr>, ConfigError> {
-    let value = parse_address(&listen.value, "127.0.0.1:8080 or [::1]:8080", &listen.place)?;
-    Ok(Placed { value, place: listen.place.clone() })
 }
 
 /// Parses an address to listen on.
@@ -297,34 +220,20 @@ fn parse_address(text: &str, example: &str, place: &ConfigPlace) -> Result<Socke
         .map_err(|_| ConfigError::at(place, format!("{text:?} is not an address to listen on: write {example}")))
 }
 
-fn drain(file: Option<&File>) -> Result<Duration, ConfigError> {
-    let Some((file, drain_ms)) = file.and_then(|file| Some((file, file.content.drain_ms.as_ref()?))) else {
-        return Ok(DEFAULT_DRAIN);
-    };
-    let drain = Duration::from_millis(*drain_ms.get_ref());
-    if drain > LONGEST_DRAIN {
-        let detail = format!("drain_ms is {}; at most {} is allowed", drain.as_millis(), LONGEST_DRAIN.as_millis());
-        return Err(ConfigError::at(&file.place(drain_ms.span().start), detail));
-    }
-    Ok(drain)
-}
-
-fn idle_timeout(file: Option<&File>) -> Result<Duration, ConfigError> {
-    let given = file.and_then(|file| file.content.idle_timeout_s.as_ref());
-    let remedy = "choose how long an unused connection stays open";
-    let seconds = journal::bounded(file, "idle_timeout_s", given, IDLE_TIMEOUTS_S, remedy)?;
-    Ok(seconds.map_or(DEFAULT_IDLE_TIMEOUT, Duration::from_secs))
-}
-
-fn grippers(flags: &Flags, file: Option<&File>, insecure: bool) -> Result<Vec<GripperConfig>, ConfigError> {
+fn grippers(flags: &Flags, file: &File, insecure: bool) -> Result<Vec<GripperConfig>, ConfigError> {
     let by_text = |texts: &[String], place: ConfigPlace| -> Result<Vec<GripperConfig>, ConfigError> {
         texts.iter().map(|text| parse_gripper(text, &place)).collect()
     };
-    let mut configured = match file {
-        _ if !flags.grippers.is_empty() => by_text(&flags.grippers, ConfigPlace::Flag("--gripper"))?,
-        Some(file) if !file.content.grippers.is_empty() => file.grippers()?,
-        _ => by_text(&DEFAULT_GRIPPERS.map(str::to_owned), ConfigPlace::Default)?,
+    let mut configured = if !flags.grippers.is_empty() {
+        by_text(&flags.grippers, ConfigPlace::Flag("--gripper"))?
+    } else if !file.content.grippers.is_empty() {
+        file.grippers()?
+    } else {
+        by_text(&DEFAULT_GRIPPERS.map(str::to_owned), ConfigPlace::Default)?
     };
+    for gripper in &mut configured {
+        gripper.rules.shared = file.content.shared.clone();
+    }
     wsg_port::take_flags(&mut configured, &flags.wsg_ports)?;
     // Without a list of networks, a port accepts only the clients that are known by their addresses.
     for gripper in &configured {
@@ -341,8 +250,8 @@ fn grippers(flags: &Flags, file: Option<&File>, insecure: bool) -> Result<Vec<Gr
 }
 
 /// Whether the file names clients by their addresses.
-fn has_known_addresses(file: Option<&File>) -> bool {
-    file.is_some_and(|file| file.content.clients.iter().any(access::ClientContent::has_address))
+fn has_known_addresses(file: &File) -> bool {
+    file.content.clients.iter().any(|client| client.address.is_some())
 }
 
 /// Counts the grippers on each CAN bus, which share its capacity.
@@ -351,7 +260,7 @@ fn share_lines(grippers: &mut [GripperConfig]) {
     for gripper in grippers {
         let DeviceSource::At(address) = &gripper.device else { continue };
         let shares = |device: &&DeviceSource| matches!(device, DeviceSource::At(one) if address.shares_line_with(one));
-        gripper.updates.devices_on_line = devices.iter().filter(shares).count().max(1) as u32;
+        gripper.rules.updates.devices_on_line = devices.iter().filter(shares).count().max(1) as u32;
     }
 }
 
@@ -377,11 +286,7 @@ fn parse_gripper(text: &str, place: &ConfigPlace) -> Result<GripperConfig, Confi
     Ok(GripperConfig {
         name: name.parse().map_err(|error| ConfigError::at(place, error))?,
         device: parse_device(url, place)?,
-        fast_stop_on_disconnect: true,
-        custom_ids: CustomIds::default(),
-        updates: UpdateRules::default(),
-        motion_pause: DEFAULT_MOTION_PAUSE,
-        lease: LeaseRules::default(),
+        rules: GripperRules::default(),
         wsg_port: WsgPort::default(),
         modbus_unit: None,
         place: place.clone(),
@@ -398,64 +303,68 @@ fn parse_device(url: &str, place: &ConfigPlace) -> Result<DeviceSource, ConfigEr
     url.parse().map(DeviceSource::At).map_err(|error| ConfigError::at(place, error))
 }
 
-fn owned(path: &Path) -> PathBuf {
-    path.to_owned()
+/// Stands for a text that a section must have.
+fn blank<T: From<&'static str>>() -> Spanned<T> {
+    Spanned::new(0..0, T::from(""))
 }
 
-#[derive(Debug, Default, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-struct Content {
-    name: Option<Spanned<String>>,
-    listen: Option<Spanned<String>>,
-    insecure: bool,
-    insecure_http: bool,
-    hosts: Vec<Spanned<String>>,
-    cors_origins: Vec<Spanned<String>>,
-    frame_ancestors: Vec<Spanned<String>>,
-    access: Option<access::AccessContent>,
-    clients: Vec<access::ClientContent>,
-    tls: Option<access::TlsContent>,
-    journal: Option<Spanned<String>>,
-    on_journal_failure: OnJournalFailure,
-    journal_max_age_days: Option<Spanned<u64>>,
-    journal_max_size_mb: Option<Spanned<u64>>,
-    drain_ms: Option<Spanned<u64>>,
-    drift: Option<drift::DriftContent>,
-    idle_timeout_s: Option<Spanned<u64>>,
-    public_url: Option<Spanned<String>>,
-    mdns: bool,
-    modbus: Option<Spanned<String>>,
-    modbus_allow: Option<Spanned<Vec<String>>>,
-    modbus_heartbeat_ms: Option<Spanned<u64>>,
-    zenoh: zenoh::ZenohContent,
-    webhooks: Vec<webhooks::WebhookContent>,
-    grippers: std::collections::BTreeMap<Spanned<String>, GripperContent>,
+settings! {
+    /// A configuration file.
+    struct Content {
+        /// Name of the gateway, in the journal and on Zenoh; the same as `--name`.
+        name: Option<Spanned<String>> = "name", optional("a name", "").shown("`\"gateway\"`", "\"gateway\""), Restart;
+        /// Address of HTTP, WebSocket and the dashboard; the same as `--listen`. An address other than loopback needs
+        /// `[access]` and `[tls]`.
+        listen: Option<Spanned<String>> = "listen",
+            optional("IP address and port", "").shown("`\"127.0.0.1:8080\"`", "\"127.0.0.1:8080\""), Reload;
+        /// Allows addresses other than loopback without `[access]` and `[tls]`; the same as `--insecure`. Every client that
+        /// reaches them can move the grippers.
+        insecure: bool = "insecure", flag(false), Reload;
+        /// Allows `[access]` without `[tls]` on addresses other than loopback: see [TLS](access.md#tls). Everyone on the
+        /// network can read the tokens.
+        insecure_http: bool = "insecure_http", flag(false), Reload;
+        /// [Credentials](access.md) of clients. With this section, clients need one.
+        access: Option<access::AccessContent> = "access", section(), Reload;
+        /// A section for each client that cannot send a token, and is known by its address or its certificate.
+        clients: Vec<access::ClientContent> = "clients", sections(), Reload;
+        /// Encryption of HTTP, with a certificate and its key.
+        tls: Option<access::TlsContent> = "tls", section(), Reload;
+        /// Warnings about a drift of contact widths.
+        drift: Option<DriftContent> = "drift", section(), Reload;
+        /// A section for each gripper. The service's user can open serial ports of the group `dialout`.
+        grippers: Vec<(Spanned<String>, GripperContent)> = "grippers", named_sections(), Reload;
+        /// Zenoh, which connects gateways and robots.
+        zenoh: Option<zenoh::ZenohContent> = "zenoh", section(), Restart;
+        /// A section for each receiver of events.
+        webhooks: Vec<webhooks::WebhookContent> = "webhooks", sections(), Reload;
+        group web: WebSettings;
+        group modbus: modbus::ModbusContent;
+        group journal: journal::JournalContent;
+        group shared: SharedRules;
+    }
 }
 
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct GripperContent {
-    url: Spanned<String>,
-    fast_stop_on_disconnect: Option<bool>,
-    update_period_ms: Option<Spanned<u64>>,
-    #[serde(default)]
-    updates: UpdateMode,
-    read_ids: Option<Spanned<BTreeSet<u8>>>,
-    stream_ids: Option<Spanned<BTreeSet<u8>>>,
-    motion_pause_ms: Option<Spanned<u64>>,
-    on_loss_moving: Option<Spanned<Vec<OnLossMoving>>>,
-    on_loss_holding: Option<Spanned<Vec<OnLossHolding>>>,
-    lease_max_ttl_ms: Option<Spanned<u64>>,
-    wsg_port: Option<Spanned<wsg_port::OneOrMore>>,
-    wsg_port_allow: Option<Spanned<Vec<String>>>,
-    #[serde(default)]
-    wsg_port_acknowledge: AcknowledgePolicy,
-    wsg_port_checksum_evaluation: Option<bool>,
-    #[serde(default)]
-    wsg_port_limits: wsg_port::LimitsWord,
-    wsg_port_max_force_n: Option<Spanned<f64>>,
-    modbus_unit: Option<Spanned<u64>>,
+settings! {
+    struct DriftContent {
+        /// Whether drift of contact widths raises the alarm `drift_warning`.
+        warnings: bool = "warnings", flag(true), Reload;
+        group limits: DriftLimits;
+    }
 }
 
+settings! {
+    struct GripperContent {
+        /// Address of the gripper: `tcp://`, `udp://`, `serial://` or `can://`, or `sim://` for a simulated gripper.
+        url: Spanned<String> = "url",
+            required(blank(), "see [Gripper addresses](#gripper-addresses)", "\"tcp://192.168.1.20:1000\""), Reload;
+        /// Unit identifier of the gripper on [Modbus](modbus.md#setup).
+        modbus_unit: Option<u8> = "modbus_unit", modbus::unit(), Reload;
+        group rules: GripperRules;
+        group wsg_port: wsg_port::WsgPortContent;
+    }
+}
+
+#[cfg(test)]
+mod documents_tests;
 #[cfg(test)]
 mod tests;

@@ -6,54 +6,56 @@ use std::ops::RangeInclusive;
 use std::time::Duration;
 
 use ipnet::IpNet;
+use toml::Spanned;
 
-use super::journal::bounded;
-use super::networks::parse_networks;
-use super::{Config, ConfigError, ConfigPlace, File, Flags, GripperConfig, GripperContent, parse_address};
-use crate::gripper::model::Name;
-
-/// Default time between two changes of a client's heartbeat.
-const DEFAULT_HEARTBEAT: Duration = Duration::from_secs(1);
-
-/// Configurable times between two changes of a client's heartbeat, in ms.
-const HEARTBEATS_MS: RangeInclusive<u64> = 100..=60_000;
+use super::{Config, ConfigError, ConfigPlace, File, Flags, GripperConfig, Placed, parse_address};
+use crate::interfaces::networks::networks;
+use crate::model::Name;
+use crate::settings::{SettingValue, between, optional, optional_whole, settings, whole};
 
 /// Unit identifiers of grippers; 0 and 255 are the gateway.
 const UNITS: RangeInclusive<u8> = 1..=247;
 
+settings! {
+    pub(super) struct ModbusContent {
+        /// Address of Modbus TCP; the same as `--modbus`. A port below 1024 needs a [capability](modbus.md#port-502).
+        address: Option<Spanned<String>> = "modbus", optional("an address", "\"127.0.0.1:5020\""), Restart;
+        group rules: ModbusRules;
+    }
+}
+
+settings! {
+    /// Rules for the clients of Modbus TCP.
+    pub struct ModbusRules {
+        /// Addresses that can connect to Modbus.
+        // If empty: known clients and loopback, or every client if the gateway needs no credentials (see
+        // `KnownPeers::allows`).
+        pub allow: Vec<IpNet> = "modbus_allow", networks("see [Modbus](modbus.md#setup)", "[\"192.168.1.10\"]"), Reload;
+        /// Longest time in ms between two changes of a client's [heartbeat](modbus.md#heartbeat-and-lost-clients) on
+        /// Modbus.
+        pub heartbeat: Duration = "modbus_heartbeat_ms",
+            whole(1000, between(100..=60_000, "leave it out for 1000"), Duration::from_millis), Reload;
+    }
+}
+
 /// Settings of Modbus TCP.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Modbus {
     pub address: SocketAddr,
     /// Place of the address in the configuration.
     pub place: ConfigPlace,
-    /// Networks that may connect. If empty: known clients and loopback, or every client if the gateway needs no
-    /// credentials (see `KnownPeers::allows`).
-    pub allow: Vec<IpNet>,
-    /// Longest time between two changes of a client's heartbeat.
-    pub heartbeat: Duration,
+    pub rules: ModbusRules,
 }
 
 impl Modbus {
     /// Merges the flag with the file. `None` if Modbus is off.
-    pub(super) fn merge(flags: &Flags, file: Option<&File>, may_be_exposed: bool) -> Result<Option<Self>, ConfigError> {
-        let content = file.map(|file| &file.content);
-        let in_file = file.and_then(|file| Some((file, file.content.modbus.as_ref()?)));
-        let (text, place) = match (&flags.modbus, in_file) {
-            (Some(text), _) => (text, ConfigPlace::Flag("--modbus")),
-            (None, Some((file, text))) => (text.get_ref(), file.place(text.span().start)),
-            (None, None) => return Ok(None),
+    pub(super) fn merge(flags: &Flags, file: &File, may_be_exposed: bool) -> Result<Option<Self>, ConfigError> {
+        let ModbusContent { address, rules } = file.content.modbus.clone();
+        let Some(Placed { value, place }) = file.pick(flags.modbus.as_ref(), "--modbus", address.as_ref()) else {
+            return Ok(None);
         };
-        let address = parse_address(text, "192.168.1.5:502", &place)?;
-        let allow = match file.and_then(|file| Some((file, file.content.modbus_allow.as_ref()?))) {
-            Some((file, texts)) => parse_networks("modbus_allow", texts.get_ref(), &file.place(texts.span().start))?,
-            None => Vec::new(),
-        };
-        let heartbeat_ms = content.and_then(|content| content.modbus_heartbeat_ms.as_ref());
-        let remedy = "leave it out for 1000";
-        let heartbeat_ms = bounded(file, "modbus_heartbeat_ms", heartbeat_ms, HEARTBEATS_MS, remedy)?;
-        let heartbeat = heartbeat_ms.map_or(DEFAULT_HEARTBEAT, Duration::from_millis);
-        if !address.ip().is_loopback() && allow.is_empty() && !may_be_exposed {
+        let address = parse_address(&value, "192.168.1.5:502", &place)?;
+        if !address.ip().is_loopback() && rules.allow.is_empty() && !may_be_exposed {
             let detail = format!(
                 "{address} is not a loopback address, and Modbus has no credentials: any client that reaches it can move \
                  the grippers. List the allowed networks in modbus_allow, name the clients in [[clients]] sections, or pass \
@@ -61,16 +63,14 @@ impl Modbus {
             );
             return Err(ConfigError::at(&place, detail));
         }
-        Ok(Some(Self { address, place, allow, heartbeat }))
+        Ok(Some(Self { address, place, rules }))
     }
 }
 
-/// Returns a gripper's unit identifier, if the file has one.
-pub(super) fn unit(file: &File, gripper: &GripperContent) -> Result<Option<u8>, ConfigError> {
-    let allowed = u64::from(*UNITS.start())..=u64::from(*UNITS.end());
-    let remedy = "leave it out to number the grippers by their names";
-    let unit = bounded(Some(file), "modbus_unit", gripper.modbus_unit.as_ref(), allowed, remedy)?;
-    Ok(unit.and_then(|unit| u8::try_from(unit).ok()))
+/// A gripper's unit identifier.
+pub(super) fn unit() -> SettingValue<Option<u8>> {
+    let range = between(1..=247, "leave it out to number the grippers by their names");
+    optional_whole(1, range, |unit| unit as u8).shown("the first free number, in alphabetical order of the names", "1")
 }
 
 /// Returns the conflict if two grippers have the same unit identifier.
@@ -101,8 +101,8 @@ mod tests {
     use super::*;
 
     fn config(text: &str) -> Result<Config, String> {
-        let file = File::parse(Path::new("f.toml"), text.to_owned()).unwrap();
-        Config::merge(&Flags::default(), Some(&file)).map_err(|error| error.to_string())
+        let file = File::parse(Path::new("f.toml"), text.to_owned());
+        file.and_then(|file| Config::merge(&Flags::default(), Some(&file))).map_err(|error| error.to_string())
     }
 
     #[test]
@@ -110,7 +110,7 @@ mod tests {
         assert_eq!(config("").unwrap().modbus, None);
         let flags = Flags { modbus: Some("127.0.0.1:5020".to_owned()), ..Flags::default() };
         let modbus = Config::load(&flags).unwrap().modbus.unwrap();
-        assert_eq!((modbus.address.port(), modbus.heartbeat), (5020, DEFAULT_HEARTBEAT));
+        assert_eq!((modbus.address.port(), modbus.rules.heartbeat), (5020, Duration::from_secs(1)));
     }
 
     #[test]
@@ -119,7 +119,7 @@ mod tests {
         assert!(open.starts_with("f.toml:1: ") && open.contains("modbus_allow"), "{open}");
         let listed = config("modbus = \"0.0.0.0:502\"\nmodbus_allow = [\"10.0.0.0/24\"]\nmodbus_heartbeat_ms = 250");
         let modbus = listed.unwrap().modbus.unwrap();
-        assert_eq!((modbus.allow.len(), modbus.heartbeat), (1, Duration::from_millis(250)));
+        assert_eq!((modbus.rules.allow.len(), modbus.rules.heartbeat), (1, Duration::from_millis(250)));
         for wrong in ["modbus = \"here\"", "modbus = \"127.0.0.1:0\"\nmodbus_heartbeat_ms = 50"] {
             assert!(config(wrong).unwrap_err().contains("modbus") || config(wrong).unwrap_err().contains("here"));
         }

@@ -1,5 +1,9 @@
+use std::path::Path;
+use std::time::Duration;
+
 use super::*;
-use crate::wear::DEFAULT_DRIFT_LIMITS;
+use crate::interfaces::wsg_port::{AcknowledgePolicy, Datagrams, ListenAddress};
+use crate::model::{OnJournalFailure, UpdateMode, UpdateRules};
 
 fn flags() -> Flags {
     Flags::default()
@@ -33,7 +37,7 @@ fn flag_overrides_file() {
 fn motion_pause_is_50_ms_unless_set() {
     let pause = |key: &str| {
         let config = file(&format!("[grippers.g]\nurl = \"sim://wsg50\"\n{key}"));
-        config.map(|config| config.grippers[0].motion_pause).map_err(|error| error.to_string())
+        config.map(|config| config.grippers[0].rules.motion_pause).map_err(|error| error.to_string())
     };
     assert_eq!(pause(""), Ok(Duration::from_millis(50)));
     assert_eq!(pause("motion_pause_ms = 0"), Ok(Duration::ZERO));
@@ -46,8 +50,8 @@ fn drift_limits_have_defaults_and_bounds() {
         let config = file(&format!("[drift]\n{keys}"));
         config.map(|config| config.drift).map_err(|error| error.to_string())
     };
-    assert_eq!(Config::load(&flags()).unwrap().drift, Some(DEFAULT_DRIFT_LIMITS));
-    assert_eq!(drift(""), Ok(Some(DEFAULT_DRIFT_LIMITS)));
+    assert_eq!(Config::load(&flags()).unwrap().drift, Some(DriftLimits::default()));
+    assert_eq!(drift(""), Ok(Some(DriftLimits::default())));
     assert_eq!(drift("sigmas = 4\nmin_mm = 0.2"), Ok(Some(DriftLimits { sigmas: 4.0, min_mm: 0.2 })));
     assert_eq!(drift("warnings = false"), Ok(None));
     assert!(drift("sigmas = 0.5").unwrap_err().contains("gateway.toml:2: sigmas is 0.5; it must be from 1 to 100"));
@@ -58,7 +62,7 @@ fn drift_limits_have_defaults_and_bounds() {
 fn public_url_is_a_web_page_without_secrets() {
     let url = |value: &str| {
         file(&format!("public_url = \"{value}\""))
-            .map(|config| config.public_url.map(|url| url.to_string()))
+            .map(|config| config.web.public_url.map(|url| url.to_string()))
             .map_err(|error| error.to_string())
     };
     assert_eq!(url("https://cell-7.example:8080"), Ok(Some("https://cell-7.example:8080/".to_owned())));
@@ -75,7 +79,7 @@ fn public_url_is_a_web_page_without_secrets() {
 fn frame_ancestors_are_origins() {
     let origins = |value: &str| {
         file(&format!("frame_ancestors = [{value}]"))
-            .map(|config| config.frame_ancestors)
+            .map(|config| config.web.frame_ancestors)
             .map_err(|error| error.to_string())
     };
     assert_eq!(origins("\"https://hmi.example\""), Ok(vec!["https://hmi.example".to_owned()]));
@@ -166,15 +170,16 @@ fn journal_settings_are_applied() {
     let text =
         "journal = \"a.db\"\non_journal_failure = \"continue\"\njournal_max_age_days = 90\njournal_max_size_mb = 500";
     let parsed = File::parse(Path::new("gateway.toml"), text.to_owned()).unwrap();
-    let journal = Config::merge(&flags(), Some(&parsed)).unwrap().journal;
-    assert_eq!(journal.place, JournalPlace::File("a.db".into()));
-    assert_eq!(journal.on_failure, OnJournalFailure::Continue);
+    let Config { journal, grippers, .. } = Config::merge(&flags(), Some(&parsed)).unwrap();
+    assert_eq!(journal.place, JournalLocation::File("a.db".into()));
+    assert!(grippers.iter().all(|gripper| gripper.rules.shared.on_journal_failure == OnJournalFailure::Continue));
     assert_eq!(journal.max_age, Some(Duration::from_hours(90 * 24)));
     assert_eq!(journal.max_bytes, Some(500_000_000));
     let flags = Flags { journal: Some(":memory:".to_owned()), ..flags() };
-    assert_eq!(Config::merge(&flags, Some(&parsed)).unwrap().journal.place, JournalPlace::Memory);
-    let journal = Config::load(&flags).unwrap().journal;
-    assert_eq!((journal.on_failure, journal.max_age, journal.max_bytes), (OnJournalFailure::Refuse, None, None));
+    assert_eq!(Config::merge(&flags, Some(&parsed)).unwrap().journal.place, JournalLocation::Memory);
+    let Config { journal, grippers, .. } = Config::load(&flags).unwrap();
+    assert!(grippers.iter().all(|gripper| gripper.rules.shared.on_journal_failure == OnJournalFailure::Refuse));
+    assert_eq!((journal.max_age, journal.max_bytes), (None, None));
     let on_disk = Flags { journal: Some("a.db".to_owned()), ..flags };
     assert_eq!(Config::load(&on_disk).unwrap().journal.max_bytes, Some(4_096_000_000));
     let endless = File::parse(Path::new("gateway.toml"), "journal_max_size_mb = 0".to_owned()).unwrap();
@@ -188,19 +193,16 @@ fn wsg_port_flag_overrides_file() {
     let of = |config: Config| config.grippers.into_iter().next().unwrap().wsg_port;
     let addresses = |port: &WsgPort| port.addresses.iter().map(|(address, _)| *address).collect::<Vec<_>>();
     let port = of(file(text).unwrap());
-    let tcp = |text: &str| WsgAddress::Tcp(text.parse().unwrap());
-    let udp = WsgAddress::Udp {
-        address: "127.0.0.1:1500".parse().unwrap(),
-        reply_port: Some(1501),
-        lost_after: Some(Duration::from_secs(10)),
-    };
+    let tcp = |text: &str| ListenAddress::Tcp(text.parse().unwrap());
+    let datagrams = Datagrams { reply_port: Some(1501), lost_after: Duration::from_secs(10) };
+    let udp = ListenAddress::Udp("127.0.0.1:1500".parse().unwrap(), datagrams);
     assert_eq!(addresses(&port), [tcp("127.0.0.1:1000"), udp]);
-    assert_eq!((port.acknowledge, port.checksum_evaluation), (AcknowledgePolicy::Any, true));
+    assert_eq!((port.rules.acknowledge, port.rules.checksum_evaluation), (AcknowledgePolicy::Any, true));
 
     let parsed = File::parse(Path::new("gateway.toml"), text.to_owned()).unwrap();
     let flags = Flags { wsg_ports: vec!["g=[::1]:1001".to_owned()], ..flags() };
     let port = of(Config::merge(&flags, Some(&parsed)).unwrap());
-    assert_eq!((addresses(&port), port.acknowledge), (vec![tcp("[::1]:1001")], AcknowledgePolicy::Any));
+    assert_eq!((addresses(&port), port.rules.acknowledge), (vec![tcp("[::1]:1001")], AcknowledgePolicy::Any));
 }
 
 #[test]
@@ -210,7 +212,7 @@ fn non_loopback_wsg_port_needs_allow_list_or_insecure() {
     assert!(mistake.starts_with("gateway.toml:3: 0.0.0.0:1000 is not a loopback address"), "{mistake}");
     assert!(mistake.contains("wsg_port_allow") && mistake.contains("--insecure"), "{mistake}");
     let allowed = file(&text("wsg_port_allow = [\"192.168.1.0/24\", \"10.0.0.7\"]")).unwrap();
-    let allow: Vec<_> = allowed.grippers[0].wsg_port.allow.iter().map(ToString::to_string).collect();
+    let allow: Vec<_> = allowed.grippers[0].wsg_port.rules.allow.iter().map(ToString::to_string).collect();
     assert_eq!(allow, ["192.168.1.0/24", "10.0.0.7/32"]);
     assert!(
         Config::merge(&Flags { insecure: true, wsg_ports: vec!["left=0.0.0.0:1000".to_owned()], ..flags() }, None)
@@ -311,8 +313,8 @@ fn updates_are_configured_for_each_gripper() {
     let grippers = |text: &str| file(text).unwrap().grippers;
     let text = "[grippers.g]\nurl = \"tcp://10.0.0.1\"\nupdate_period_ms = 50\nupdates = \"changes\"\n";
     let expected = UpdateRules { mode: UpdateMode::Changes, min_period_ms: 50, devices_on_line: 1 };
-    assert_eq!(grippers(text)[0].updates, expected);
-    assert_eq!(Config::load(&flags()).unwrap().grippers[0].updates, UpdateRules::default());
+    assert_eq!(grippers(text)[0].rules.updates, expected);
+    assert_eq!(Config::load(&flags()).unwrap().grippers[0].rules.updates, UpdateRules::default());
     let wrong = file(&text.replace("50", "5")).unwrap_err().to_string();
     assert!(wrong.starts_with("gateway.toml:3: update_period_ms is 5; it must be from 10 to 500: "), "{wrong}");
 }
@@ -323,8 +325,18 @@ fn grippers_on_one_can_interface_share_it() {
         format!("[grippers.{name}]\nurl = \"can://{interface}?tx={tx}&rx={}\"\n", tx + 1)
     };
     let text = [on("a", "can0", 2), on("b", "can0", 4), on("c", "can1", 2), on("d", "can0", 6)].concat();
-    let shared = file(&text).unwrap().grippers.into_iter().map(|gripper| gripper.updates.devices_on_line);
+    let shared = file(&text).unwrap().grippers.into_iter().map(|gripper| gripper.rules.updates.devices_on_line);
     assert_eq!(shared.collect::<Vec<_>>(), [3, 3, 1, 3]);
+}
+
+#[test]
+fn line_that_is_not_utf_8_is_named() {
+    let path = std::env::temp_dir().join(format!("wsg-latin-1-{}.toml", std::process::id()));
+    std::fs::write(&path, b"listen = \"127.0.0.1:0\"\n# Zelle f\xFCr Teile\nname = \"cell-7\"\n").unwrap();
+    let error = File::read(&path).unwrap_err().to_string();
+    std::fs::remove_file(&path).unwrap();
+    assert!(error.starts_with(&format!("{}:2: ", path.display())), "{error}");
+    assert!(error.contains("not UTF-8") && error.contains("save the file as UTF-8"), "{error}");
 }
 
 /// The configuration file of the packages.

@@ -2,26 +2,37 @@
 
 use std::path::PathBuf;
 
-use serde::Deserialize;
 use toml::Spanned;
 
-use super::{ConfigError, File};
-use crate::gripper::model::Name;
+use super::{ConfigError, File, blank};
 use crate::journal::EventKind;
+use crate::model::{Name, without_byte_order_mark};
+use crate::settings::{optional, required, settings};
 use crate::webhooks::{Authorities, SigningSecret, WebhookSettings};
 
 /// Maximum number of webhooks. Each one reads the journal.
 const MAX_WEBHOOKS: usize = 16;
 
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct WebhookContent {
-    name: Spanned<String>,
-    url: Spanned<String>,
-    kinds: Option<Spanned<Vec<EventKind>>>,
-    secret: Option<Spanned<SigningSecret>>,
-    secret_file: Option<Spanned<PathBuf>>,
-    ca_file: Option<Spanned<PathBuf>>,
+settings! {
+    pub(super) struct WebhookContent {
+        /// Name of the webhook. The gateway stores the webhook's position in the journal under this name.
+        name: Spanned<String> = "name", required(blank(), "a name", "\"mes\""), Reload;
+        /// URL that each event is sent to.
+        url: Spanned<String> = "url",
+            required(blank(), "`http://…` or `https://…`", "\"https://mes.example/hooks/wsg\""), Reload;
+        /// Kinds of events that are delivered.
+        kinds: Option<Spanned<Vec<EventKind>>> = "kinds", optional("[kinds of events](mes.md#event-kinds)", "")
+            .shown("all", "[\"command\", \"fast_stop\"]"), Reload;
+        /// Secret that signs the deliveries. Either this key or `secret_file` is required.
+        secret: Option<Spanned<SigningSecret>> = "secret", optional(
+            "`whsec_` and 24 to 64 bytes in base64", "\"whsec_cmVwbGFjZSB0aGlzIGJ5IHlvdXIgb3duIHNlY3JldA==\"",
+        ), Reload;
+        /// File that contains the secret. A relative path starts at the directory of the configuration file.
+        pub(super) secret_file: Option<Spanned<PathBuf>> = "secret_file", optional("a path", "\"mes.secret\""), Reload;
+        /// Certificates of the authorities that the receiver's certificate can come from, in PEM form.
+        pub(super) ca_file: Option<Spanned<PathBuf>> = "ca_file",
+            optional("a path", "").shown("public authorities", "\"plant-ca.pem\""), Reload;
+    }
 }
 
 /// Validates the webhooks in the file.
@@ -73,7 +84,7 @@ fn from_file<T, E: std::fmt::Display>(
         ConfigError::at(&file.place(path.span().start), format!("{}: {error}", named.display()))
     };
     let text = std::fs::read(&named).map_err(|error| wrong(&error))?;
-    parse(&text).map_err(|error| wrong(&error))
+    parse(without_byte_order_mark(&text)).map_err(|error| wrong(&error))
 }
 
 #[cfg(test)]
@@ -95,7 +106,7 @@ mod tests {
         let directory = std::env::temp_dir().join(format!("wsg-webhooks-{}", std::process::id()));
         std::fs::create_dir_all(&directory).unwrap();
         let secret = directory.join("secret");
-        std::fs::write(&secret, format!("{SECRET}\n")).unwrap();
+        std::fs::write(&secret, format!("\u{FEFF}{SECRET}\n")).unwrap();
         let text = format!(
             "[[webhooks]]\nname = \"mes\"\nurl = \"https://mes.example/hook\"\nkinds = [\"fast_stop\"]\n\
              secret = \"{SECRET}\"\n[[webhooks]]\nname = \"log\"\nurl = \"http://127.0.0.1:1\"\n\

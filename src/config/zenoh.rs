@@ -9,16 +9,11 @@ use toml::Spanned;
 use zenoh::config::{EndPoint, WhatAmI};
 
 use super::{ConfigError, ConfigPlace, File, Flags};
+use crate::settings::{between, optional, settings, whole};
 use crate::transport::host::check_host;
 
 /// Default endpoint to listen on.
 const DEFAULT_LISTEN: &str = "tcp/127.0.0.1:7447";
-
-/// Default limit of published states and telemetry, per second and gripper.
-const DEFAULT_HZ: u64 = 50;
-
-/// Highest configurable limit: the rate of the devices' updates.
-const MAX_HZ: u64 = 100;
 
 /// Largest message that Zenoh accepts, in bytes: 2 MiB as over HTTP, and the rest of the message around them. Requests
 /// have 64 KiB at most, and a larger one within this limit is refused with a problem. Zenoh drops a still larger one
@@ -83,15 +78,23 @@ pub struct ZenohFlags {
     pub zenoh_connect: Vec<String>,
 }
 
-/// The `[zenoh]` section of a file.
-#[derive(Debug, Default, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub(super) struct ZenohContent {
-    mode: Option<ZenohMode>,
-    listen: Option<Spanned<Vec<String>>>,
-    connect: Option<Spanned<Vec<String>>>,
-    config: Option<Spanned<PathBuf>>,
-    max_hz: Option<Spanned<u64>>,
+settings! {
+    pub(super) struct ZenohContent {
+        /// Role on the Zenoh network: `off`, `peer`, `client` or `router`.
+        mode: Option<ZenohMode> = "mode", optional("`\"off\"`, `\"peer\"`, `\"client\"`, `\"router\"`", "")
+            .shown("`\"peer\"`, or `\"router\"` if `connect` is set", "\"peer\""), Restart;
+        /// Endpoints to listen on; the same as `--zenoh-listen`. A `client` does not listen by default.
+        listen: Option<Spanned<Vec<String>>> = "listen", optional("`tcp/…` or `quic/…` endpoints", "")
+            .shown("`[\"tcp/127.0.0.1:7447\"]`", "[\"tcp/127.0.0.1:7447\"]"), Restart;
+        /// Endpoints to connect to; the same as `--zenoh-connect`. A `client` needs at least one.
+        connect: Option<Spanned<Vec<String>>> = "connect",
+            optional("`tcp/…` or `quic/…` endpoints", "").shown("`[]`", "[]"), Restart;
+        /// Zenoh's own configuration file, for encryption and access control.
+        config: Option<Spanned<PathBuf>> = "config", optional("a path", "\"zenoh.json5\""), Restart;
+        /// Highest rate, per second, at which the state and the telemetry of a gripper are published.
+        // Not above the rate of the devices' updates.
+        max_hz: u32 = "max_hz", whole(50, between(1..=100, ""), |hz| hz as u32), Restart;
+    }
 }
 
 #[derive(Debug, Clone)]
@@ -106,31 +109,27 @@ pub struct Zenoh {
 
 impl PartialEq for Zenoh {
     fn eq(&self, other: &Self) -> bool {
-        let all = |zenoh: &Self| (zenoh.settings.to_string(), zenoh.max_hz);
-        all(self) == all(other)
+        // The endpoints are a part of the settings.
+        let Self { settings, listen: _, connect: _, max_hz } = self;
+        *max_hz == other.max_hz && settings.to_string() == other.settings.to_string()
     }
 }
 
 impl Zenoh {
     /// Returns `None` if Zenoh is off.
-    pub(super) fn merge(flags: &Flags, file: Option<&File>, insecure: bool) -> Result<Option<Self>, ConfigError> {
-        let content = file.map(|file| (file, &file.content.zenoh));
+    pub(super) fn merge(flags: &Flags, file: &File, insecure: bool) -> Result<Option<Self>, ConfigError> {
+        let content = file.content.zenoh.clone().unwrap_or_default();
         let flags = &flags.zenoh;
-        let base = Base::read(content)?;
-        let of_file = |pick: fn(&ZenohContent) -> &Option<Spanned<Vec<String>>>| {
-            let (file, content) = content?;
-            let endpoints = pick(content).as_ref()?;
-            Some((endpoints.get_ref().clone(), file.place(endpoints.span().start)))
+        let base = Base::read(file)?;
+        let given = |flag: &'static str, given: &[String], in_file: Option<&Spanned<Vec<String>>>| {
+            let given = file.pick((!given.is_empty()).then(|| given.to_vec()).as_ref(), flag, in_file)?;
+            Some((given.value, given.place))
         };
-        let given = |flag: &'static str, given: &[String], in_file| match given {
-            [] => in_file,
-            given => Some((given.to_vec(), ConfigPlace::Flag(flag))),
-        };
-        let listen = given("--zenoh-listen", &flags.zenoh_listen, of_file(|content| &content.listen));
-        let connect = given("--zenoh-connect", &flags.zenoh_connect, of_file(|content| &content.connect));
+        let listen = given("--zenoh-listen", &flags.zenoh_listen, content.listen.as_ref());
+        let connect = given("--zenoh-connect", &flags.zenoh_connect, content.connect.as_ref());
         // Peers forward nothing between each other, so a gateway that connects to others is a router by default.
         let default = if connect.is_some() { WhatAmI::Router } else { WhatAmI::Peer };
-        let mode = match flags.zenoh_mode.or_else(|| content.and_then(|(_, content)| content.mode)) {
+        let mode = match flags.zenoh_mode.or(content.mode) {
             Some(mode) => mode.role(),
             None => Some(base.mode().unwrap_or(default)),
         };
@@ -157,7 +156,7 @@ impl Zenoh {
                 set(key, value, &base.place)?;
             }
         }
-        let zenoh = Self { max_hz: max_hz(content)?, settings, listen: listen.0.clone(), connect: connect.0.clone() };
+        let zenoh = Self { max_hz: content.max_hz, settings, listen: listen.0.clone(), connect: connect.0.clone() };
         if !insecure && !zenoh.asks_for_credentials() {
             zenoh.check_loopback([&listen, &connect], &base.place)?;
         }
@@ -219,6 +218,28 @@ impl Zenoh {
     }
 }
 
+/// Returns Zenoh's own configuration file, and the certificates, keys and passwords that it names.
+pub(super) fn named_files(file: &File) -> Result<Vec<PathBuf>, ConfigError> {
+    let Some(config) = file.content.zenoh.as_ref().and_then(|zenoh| zenoh.config.as_ref()) else {
+        return Ok(Vec::new());
+    };
+    let base = Base::read(file)?;
+    let keys = [
+        "link/tls/root_ca_certificate",
+        "link/tls/listen_certificate",
+        "link/tls/listen_private_key",
+        "link/tls/connect_certificate",
+        "link/tls/connect_private_key",
+        "auth/usrpwd/dictionary_file",
+        "auth/pubkey/public_key_file",
+        "auth/pubkey/private_key_file",
+        "auth/pubkey/known_keys_file",
+    ];
+    let named = keys.map(|key| setting(&base.settings, &format!("transport/{key}")));
+    let named = named.iter().filter_map(Value::as_str).map(PathBuf::from);
+    Ok(std::iter::once(file.beside(config.get_ref())).chain(named).collect())
+}
+
 /// Zenoh's own configuration file, or Zenoh's defaults.
 struct Base {
     settings: zenoh::Config,
@@ -226,9 +247,8 @@ struct Base {
 }
 
 impl Base {
-    fn read(content: Option<(&File, &ZenohContent)>) -> Result<Self, ConfigError> {
-        let given = content.and_then(|(file, content)| Some((file, content.config.as_ref()?)));
-        let Some((file, path)) = given else {
+    fn read(file: &File) -> Result<Self, ConfigError> {
+        let Some(path) = file.content.zenoh.as_ref().and_then(|zenoh| zenoh.config.as_ref()) else {
             return Ok(Self { settings: zenoh::Config::default(), place: ConfigPlace::Flag("--zenoh-mode") });
         };
         let place = file.place(path.span().start);
@@ -360,16 +380,6 @@ fn is_loopback(endpoint: &str) -> bool {
         Ok(address) => address.ip().is_loopback(),
         Err(_) => address.as_str().rsplit_once(':').is_some_and(|(host, _)| host == "localhost"),
     }
-}
-
-fn max_hz(content: Option<(&File, &ZenohContent)>) -> Result<u32, ConfigError> {
-    let given = content.and_then(|(file, content)| Some((file, content.max_hz.as_ref()?)));
-    let Some((file, max_hz)) = given else { return Ok(DEFAULT_HZ as u32) };
-    if (1..=MAX_HZ).contains(max_hz.get_ref()) {
-        return Ok(*max_hz.get_ref() as u32);
-    }
-    let detail = format!("max_hz is {}; it must be from 1 to {MAX_HZ}", max_hz.get_ref());
-    Err(ConfigError::at(&file.place(max_hz.span().start), detail))
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@ use std::net::SocketAddr;
 
 use super::ports::BoundPort;
 use crate::config::{AccessConfig, Config};
-use crate::gripper::model::Name;
+use crate::model::Name;
 
 /// Prints what is served, where, and what to try. Ignores write errors, since nobody may be reading.
 pub(super) fn announce(
@@ -71,13 +71,15 @@ fn curl_options(config: &Config) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::{Flags, TlsConfig};
+    use crate::config::Flags;
+    use crate::interfaces::tls::TlsFiles;
 
     #[test]
     fn command_to_try_has_certificate_and_token_only_if_needed() {
         let open = Config::load(&Flags::default()).unwrap();
         let guarded = Config::load(&Flags { tokens: Some("tokens.json".into()), ..Flags::default() }).unwrap();
-        let tls = TlsConfig { certificate: "my files/a.pem".into(), key: "b.pem".into(), client_ca: None };
+        let tls =
+            TlsFiles { certificate: "my files/a.pem".into(), key: "b.pem".into(), client_ca: None, pinned: false };
         let encrypted = Config { tls: Some(tls), ..guarded.clone() };
         let token = "-H \"Authorization: Bearer TOKEN\" ";
         assert_eq!(curl_options(&open), "");

@@ -3,8 +3,9 @@
 
 use rustix::process::{Resource, getrlimit, setrlimit};
 
-use crate::config::{Config, DeviceSource, WsgAddress};
+use crate::config::{Config, DeviceSource};
 use crate::interfaces::Bounds;
+use crate::interfaces::wsg_port::ListenAddress;
 
 /// The gateway itself: five runtimes with sockets (20), the listener, standard input and output, the journal with its
 /// readers (8), and some to spare.
@@ -101,11 +102,11 @@ impl Shares {
 /// Returns the descriptors that the gateway itself needs, and the number of WSG ports with TCP clients. Modbus is one more.
 fn needs(config: &Config) -> (usize, usize) {
     let addresses = config.grippers.iter().flat_map(|gripper| &gripper.wsg_port.addresses);
-    let tcp_ports = addresses.filter(|(address, _)| matches!(address, WsgAddress::Tcp(_))).count();
+    let tcp_ports = addresses.filter(|(address, _)| matches!(address, ListenAddress::Tcp(_))).count();
     let ports = tcp_ports + usize::from(config.modbus.is_some());
     let zenoh = if config.zenoh.is_some() { OF_ZENOH } else { 0 };
     let links = config.grippers.iter().filter(|gripper| matches!(gripper.device, DeviceSource::At(_))).count();
-    let mdns = if config.mdns { OF_MDNS } else { 0 };
+    let mdns = if config.web.mdns { OF_MDNS } else { 0 };
     let modbus = if config.modbus.is_some() { OF_MODBUS } else { 0 };
     (OWN + OF_A_LINK * links + OF_A_WEBHOOK * config.webhooks.len() + zenoh + mdns + modbus, ports)
 }

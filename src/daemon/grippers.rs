@@ -11,10 +11,10 @@ use super::simulation::SimulatedDevice;
 use crate::config::{Config, ConfigError, DeviceSource, GripperConfig};
 use crate::gripper::actor::ActorConfig;
 use crate::gripper::metrics::{Newest, Registration};
-use crate::gripper::model::{Name, PersistedKey};
 use crate::gripper::recorder::RestoredState;
 use crate::gripper::{self, Connector, GripperMetrics, Grippers, Handle, Reconfiguration};
 use crate::journal::{Journal, Recovered};
+use crate::model::{GripperRules, Name, PersistedKey};
 use crate::transport::DevicesInUse;
 
 /// The running grippers.
@@ -39,9 +39,9 @@ struct RunningGripper {
 pub(super) struct GripperDifferences {
     pub(super) added: Vec<Name>,
     pub(super) removed: Vec<Name>,
-    /// Grippers with another configuration, or with other settings of all grippers.
+    /// Grippers with another configuration.
     pub(super) changed: Vec<Name>,
-    /// Those of `changed` whose WSG ports have to end, because their clients depend on what has changed.
+    /// Grippers of `changed` whose WSG ports have to end, because their clients depend on what has changed.
     pub(super) ending_ports: Vec<Name>,
     /// New devices of added and changed grippers.
     connectors: BTreeMap<Name, Arc<dyn Connector>>,
@@ -75,7 +75,6 @@ impl RunningGrippers {
         let mut changes = GripperDifferences::default();
         let is_gone = |gripper: &&GripperConfig| find(after, &gripper.name).is_none();
         changes.removed = before.grippers.iter().filter(is_gone).map(|gripper| gripper.name.clone()).collect();
-        let of_all = |config: &Config| (config.drain, config.journal.on_failure);
         for gripper in &after.grippers {
             let name = gripper.name.clone();
             let old = find(before, &name);
@@ -88,7 +87,7 @@ impl RunningGrippers {
             }
             match old {
                 None => changes.added.push(name),
-                Some(old) if !is_same(&old, gripper) || of_all(before) != of_all(after) => {
+                Some(old) if !is_same(&old, gripper) => {
                     if ends_ports(&old, gripper) {
                         changes.ending_ports.push(name.clone());
                     }
@@ -195,7 +194,8 @@ fn is_same(before: &GripperConfig, after: &GripperConfig) -> bool {
 /// Whether what the clients of its WSG ports depend on differs: the device, and what a port copies for each client.
 fn ends_ports(before: &GripperConfig, after: &GripperConfig) -> bool {
     let of_clients = |gripper: &GripperConfig| {
-        (gripper.device.clone(), gripper.updates, gripper.custom_ids.clone(), gripper.fast_stop_on_disconnect)
+        let GripperRules { updates, custom_ids, fast_stop_on_disconnect, .. } = gripper.rules.clone();
+        (gripper.device.clone(), updates, custom_ids.read, custom_ids.stream, fast_stop_on_disconnect)
     };
     of_clients(before) != of_clients(after)
 }
@@ -211,13 +211,7 @@ fn actor_config(
         name: gripper.name.clone(),
         url: connector.url(),
         properties: connector.properties(),
-        fast_stop_on_disconnect: gripper.fast_stop_on_disconnect,
-        custom_ids: gripper.custom_ids.clone(),
-        updates: gripper.updates,
-        motion_pause: gripper.motion_pause,
-        drain: config.drain,
-        on_journal_failure: config.journal.on_failure,
-        lease: gripper.lease.clone(),
+        rules: gripper.rules.clone(),
         seed: rand::rng().random(),
         metrics,
     }
@@ -238,5 +232,6 @@ fn restored(recovered: &Recovered, gripper: &GripperConfig) -> RestoredState {
         last_command: persisted(PersistedKey::LastCommand),
         requests: requests.cloned().collect(),
         unclean: recovered.unclean,
+        unknown_past: recovered.unknown_past.clone(),
     }
 }

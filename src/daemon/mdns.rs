@@ -27,7 +27,7 @@ impl Announcement {
     /// Announces the gateway at this address if the configuration says so. If the announcement fails, the gateway runs
     /// without it.
     pub(super) fn of(config: &Config, address: SocketAddr) -> Option<Self> {
-        let announced = config.mdns.then(|| Self::announce(config, address));
+        let announced = config.web.mdns.then(|| Self::announce(config, address));
         announced?.inspect_err(|error| tracing::warn!(%error, "gateway not announced by mDNS")).ok()
     }
 

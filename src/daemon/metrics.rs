@@ -10,7 +10,7 @@ use prometheus::proto::MetricFamily;
 use prometheus::{IntCounter, IntGauge, Opts, Registry, Result};
 use tokio::sync::watch;
 
-use crate::config::{Config, JournalPlace};
+use crate::config::{Config, JournalLocation};
 use crate::fleet::Peers;
 use crate::gripper::Recorder as _;
 use crate::gripper::recorder::JournalHealth;
@@ -31,12 +31,20 @@ pub(super) fn registry(config: &Config, journal: &Journal) -> Result<Registry> {
         counted: Mutex::default(),
         up: IntGauge::new("wsg_journal_up", "Whether the journal accepts records.")?,
         damaged: IntGauge::new("wsg_journal_damaged", "Whether earlier records in the journal were found damaged.")?,
+        restored: IntGauge::new(
+            "wsg_journal_restored",
+            "Whether the journal does not continue that of the last run, and nobody has confirmed it.",
+        )?,
+        clock_doubtful: IntGauge::new(
+            "wsg_clock_doubtful",
+            "Whether the clock has jumped so far ahead that no record is removed for its age.",
+        )?,
         lost: IntCounter::new(
             "wsg_journal_records_lost_total",
             "Records lost because the journal could not take them.",
         )?,
     }))?;
-    if let JournalPlace::File(path) = &config.journal.place {
+    if let JournalLocation::File(path) = &config.journal.place {
         let bytes = IntGauge::new("wsg_journal_bytes", "Size of the journal's file and of its write-ahead log.")?;
         registry.register(Box::new(JournalSize { path: path.clone(), bytes }))?;
     }
@@ -72,22 +80,28 @@ struct HealthCollector {
     counted: Mutex<u64>,
     up: IntGauge,
     damaged: IntGauge,
+    restored: IntGauge,
+    clock_doubtful: IntGauge,
     lost: IntCounter,
 }
 
 impl Collector for HealthCollector {
     fn desc(&self) -> Vec<&Desc> {
-        [self.up.desc(), self.damaged.desc(), self.lost.desc()].concat()
+        let gauges = [&self.up, &self.damaged, &self.restored, &self.clock_doubtful];
+        gauges.into_iter().flat_map(IntGauge::desc).chain(self.lost.desc()).collect()
     }
 
     fn collect(&self) -> Vec<MetricFamily> {
-        let JournalHealth { failure, lost, damage } = self.health.borrow().clone();
+        let JournalHealth { failure, lost, damage, restored, clock } = self.health.borrow().clone();
         let mut counted = self.counted.lock().unwrap_or_else(PoisonError::into_inner);
         self.lost.inc_by(lost.saturating_sub(*counted));
         *counted = lost.max(*counted);
         self.up.set(failure.is_none().into());
         self.damaged.set(damage.is_some().into());
-        [self.up.collect(), self.damaged.collect(), self.lost.collect()].concat()
+        self.restored.set(restored.is_some().into());
+        self.clock_doubtful.set(clock.is_some().into());
+        let gauges = [&self.up, &self.damaged, &self.restored, &self.clock_doubtful];
+        gauges.into_iter().flat_map(IntGauge::collect).chain(self.lost.collect()).collect()
     }
 }
 

@@ -1,6 +1,7 @@
 //! The composition root: builds everything, runs it, and shuts it down in order.
 
 mod announce;
+mod credentials;
 mod descriptors;
 mod grippers;
 mod listen;
@@ -19,6 +20,7 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
+use prometheus::Registry;
 use tokio::net::TcpListener;
 use tokio::runtime::{Builder, Handle, Runtime};
 use tokio::signal::unix::{SignalKind, signal};
@@ -29,15 +31,15 @@ use tokio_util::sync::CancellationToken;
 use url::Url;
 
 use crate::access::Access;
-use crate::alarms::Alarms;
+use crate::alarms::{AlarmSources, Alarms};
 use crate::config::{self, Config, ConfigError, DeviceSource, Flags};
 use crate::events::LiveUpdates;
 use crate::fleet::Peers;
-use crate::gripper::model::{Detail, Event, GatewayEvent};
 use crate::gripper::recorder::{Record, Recorder as _};
 use crate::gripper::{Grippers, Now};
 use crate::interfaces::{self, Bounds, http, zenoh};
 use crate::journal::{self, Journal, Recovered};
+use crate::model::{Detail, Event, GatewayEvent};
 use crate::operations::audit::Audit;
 use crate::operations::readiness::EXPOSED;
 use crate::operations::{Gateway, Reloads};
@@ -45,7 +47,8 @@ use crate::recipes::Recipes;
 use crate::transport::find_same_device;
 use crate::trends::Trends;
 use crate::wear::Wear;
-use crate::webhooks::{WebhookContext, Webhooks};
+use crate::webhooks::{WebhookContext, WebhookRunner};
+use credentials::watch_credentials;
 use descriptors::Shares;
 use grippers::RunningGrippers;
 use mdns::Announcement;
@@ -136,7 +139,7 @@ pub async fn check_devices(config: &Config) -> Result<(), ConfigError> {
 /// # Errors
 /// The first file that the gateway could not start with, and the remedy.
 pub fn check_files(config: &Config) -> anyhow::Result<()> {
-    settings::of_http(config, None)?;
+    settings::of_http(config, config.listen.port(), None)?;
     settings::of_access(config)?;
     Ok(())
 }
@@ -160,7 +163,7 @@ struct RunningGateway {
     server: JoinHandle<()>,
     zenoh: Option<JoinHandle<()>>,
     grippers: Grippers,
-    webhooks: Arc<Webhooks>,
+    webhooks: Arc<WebhookRunner>,
     audit: Arc<Audit>,
     journal: Journal,
     /// Ends the reloads, the links to the grippers, and everything else, in this order.
@@ -226,12 +229,10 @@ async fn start(
     let address = listener.local_addr()?;
     let ports = ports::bind(&config, shares.wsg_port)?;
     let modbus = modbus::bind(&config, shares.wsg_port)?;
-    let settings = http::SharedSettings::new(settings::of_http(&config, None)?);
+    let settings = http::SharedSettings::new(settings::of_http(&config, address.port(), None)?);
     let access = Arc::new(Access::new(settings::of_access(&config)?));
     settings::log_warnings(&config);
-    if access.is_exposed() {
-        tracing::warn!("{EXPOSED}");
-    }
+    warn_of_exposure(&access);
     let (journal, recovered) = open_journal(&config)?;
     record_start(&config, &journal).await;
     let (draining, shutdown) = (CancellationToken::new(), CancellationToken::new());
@@ -240,20 +241,20 @@ async fn start(
     let running = RunningGrippers::start(&config, runtimes.devices.handle(), &journal, &recovered, &registry)?;
     let grippers = running.grippers.clone();
     let audit = Arc::new(Audit::new(journal.clone()));
-    let peers = Arc::new(Peers::new(config.name.clone(), grippers.clone(), config.public_url.clone()));
-    let webhook_context = WebhookContext {
-        gateway: &config.name,
-        journal: &journal,
-        persisted: &recovered.memory,
-        registry: &registry,
-        closing: &shutdown,
-        runtime: &clients.observers,
-    };
-    let webhooks = Arc::new(Webhooks::start(&config.webhooks, &webhook_context)?);
+    let peers = Arc::new(Peers::new(config.name.clone(), grippers.clone(), config.web.public_url.clone()));
+    let webhooks = start_webhooks(&config, &recovered, &clients.observers, &journal, &registry, &shutdown).await?;
+    let expiring = watch_credentials(&access, &settings, &journal, &clients.observers, &registry, &shutdown)?;
     let wear = watch_wear(&config, &journal, &recovered, &clients.observers, &shutdown);
     let alarms = Arc::new(Alarms::new(config.name.clone(), journal.clone(), &recovered.memory));
     // The links that draining closes raise no alarms.
-    clients.observers.spawn(alarms.clone().watch(grippers.clone(), peers.clone(), wear.clone(), draining.clone()));
+    let sources = AlarmSources {
+        grippers: grippers.clone(),
+        peers: peers.clone(),
+        wear: wear.clone(),
+        webhooks: webhooks.webhooks().clone(),
+        expiring,
+    };
+    clients.observers.spawn(alarms.clone().watch(sources, draining.clone()));
     let recipes = Arc::new(Recipes::new(config.name.clone(), journal.clone(), &recovered.memory));
     let (reloads, reload_requests) = Reloads::channel();
     let gateway = Arc::new(Gateway {
@@ -266,7 +267,7 @@ async fn start(
         recipes,
         wear: wear.clone(),
         updates: Arc::new(LiveUpdates::new(grippers.clone(), journal.clone(), peers, alarms)),
-        webhooks: webhooks.clone(),
+        webhooks: webhooks.webhooks().clone(),
         trends: watch_trends(&grippers, &clients.observers, &draining),
         access: access.clone(),
         reloads,
@@ -279,6 +280,7 @@ async fn start(
         ws_metrics: interfaces::metrics::InterfaceMetrics::register(&registry, "ws")?,
         registry,
         settings: settings.clone(),
+        refused_sockets: Arc::default(),
     });
     let on_zenoh = config.zenoh.as_ref().map(|zenoh| zenoh_settings(zenoh, &context)).transpose()?;
     tracing::info!(limit = shares.limit, http = shares.http, wsg_port = shares.wsg_port, "connection limits set");
@@ -314,12 +316,38 @@ async fn start(
         announcement,
         accept: clients.accept.clone(),
         grippers: running,
+        webhooks: webhooks.clone(),
         ports: Ports::serve(ports, grippers.clone(), port_context),
         modbus,
     };
     let stopping = CancellationToken::new();
     let reloading = tokio::spawn(reloader.run(reload_requests, hang_up, stopping.clone()));
     Ok(RunningGateway { reloading, server, zenoh, grippers, webhooks, audit, journal, stopping, draining, shutdown })
+}
+
+async fn start_webhooks(
+    config: &Config,
+    recovered: &Recovered,
+    runtime: &Handle,
+    journal: &Journal,
+    registry: &Registry,
+    closing: &CancellationToken,
+) -> anyhow::Result<Arc<WebhookRunner>> {
+    let webhooks = WebhookRunner::new(WebhookContext {
+        gateway: config.name.clone(),
+        journal: journal.clone(),
+        registry: registry.clone(),
+        closing: closing.clone(),
+        runtime: runtime.clone(),
+    });
+    webhooks.apply(webhooks.prepare(&config.webhooks)?, &recovered.memory).await?;
+    Ok(Arc::new(webhooks))
+}
+
+fn warn_of_exposure(access: &Access) {
+    if access.is_exposed() {
+        tracing::warn!("{EXPOSED}");
+    }
 }
 
 fn watch_wear(
@@ -341,12 +369,8 @@ fn watch_trends(grippers: &Grippers, runtime: &Handle, closing: &CancellationTok
 }
 
 fn open_journal(config: &Config) -> Result<(Journal, Recovered), journal::OpenError> {
-    let config::JournalConfig { place, max_age, max_bytes, .. } = &config.journal;
-    let place = match place {
-        config::JournalPlace::File(path) => journal::JournalLocation::File(path.clone()),
-        config::JournalPlace::Memory => journal::JournalLocation::Memory,
-    };
-    let retention = journal::Retention { max_age: *max_age, max_bytes: *max_bytes };
+    let config::JournalConfig { place, max_age, max_bytes } = config.journal.clone();
+    let retention = journal::Retention { max_age, max_bytes };
     Journal::open(place, retention).inspect(|(_, recovered)| log_unclean_end(recovered))
 }
 

@@ -11,13 +11,13 @@ use tokio_util::sync::CancellationToken;
 use super::listen;
 use crate::access::Access;
 use crate::config::Config;
-use crate::gripper::model::Name;
 use crate::interfaces;
 use crate::interfaces::foreign::ForeignClients;
 use crate::interfaces::http::HttpContext;
 use crate::interfaces::metrics::InterfaceMetrics;
 use crate::interfaces::modbus::{self, ModbusContext, ModbusSettings};
 use crate::interfaces::peers::KnownPeers;
+use crate::model::Name;
 
 /// A bound listener that is not served yet.
 pub(super) struct BoundModbus {
@@ -46,8 +46,8 @@ pub(super) fn bind(config: &Config, descriptors: usize) -> anyhow::Result<Option
 /// Returns the settings that a reload can change; `None` if Modbus is off.
 fn settings(config: &Config, access: &Arc<Access>) -> Option<ModbusSettings> {
     let modbus = config.modbus.as_ref()?;
-    let peers = KnownPeers::new(modbus.allow.clone(), access.clone());
-    Some(ModbusSettings { peers, heartbeat: modbus.heartbeat, units: config.modbus_units() })
+    let peers = KnownPeers::new(modbus.rules.allow.clone(), access.clone());
+    Some(ModbusSettings { peers, heartbeat: modbus.rules.heartbeat, units: config.modbus_units() })
 }
 
 impl BoundModbus {

@@ -8,11 +8,11 @@ use tokio_util::sync::CancellationToken;
 
 use super::listen;
 use crate::access::Access;
-use crate::config::{AcknowledgePolicy, Config, ConfigPlace, LimitsPolicy, WsgAddress, WsgPort};
+use crate::config::{Config, ConfigPlace};
 use crate::gripper::Grippers;
-use crate::gripper::model::Name;
 use crate::interfaces::metrics::WsgPortMetrics;
-use crate::interfaces::wsg_port::{self, AllowedLimits, Datagrams, LOST_AFTER, ListenAddress, Listener, Port, Rules};
+use crate::interfaces::wsg_port::{self, ListenAddress, Listener, Port, Rules};
+use crate::model::Name;
 use crate::operations::audit::Audit;
 
 /// A bound port that is not served yet.
@@ -75,22 +75,12 @@ pub(super) fn bind(config: &Config, descriptors: usize) -> anyhow::Result<Vec<Bo
 fn configured(config: &Config) -> Vec<(ConfiguredPort, &ConfigPlace)> {
     let mut ports = Vec::new();
     for gripper in &config.grippers {
-        let rules = rules(&gripper.wsg_port);
         for (address, place) in &gripper.wsg_port.addresses {
-            let (gripper, address) = (gripper.name.clone(), listen_address(*address));
-            ports.push((ConfiguredPort { gripper, address, rules: rules.clone() }, place));
+            let rules = gripper.wsg_port.rules.clone();
+            ports.push((ConfiguredPort { gripper: gripper.name.clone(), address: *address, rules }, place));
         }
     }
     ports
-}
-
-fn listen_address(address: WsgAddress) -> ListenAddress {
-    match address {
-        WsgAddress::Tcp(address) => ListenAddress::Tcp(address),
-        WsgAddress::Udp { address, reply_port, lost_after } => {
-            ListenAddress::Udp(address, Datagrams { reply_port, lost_after: lost_after.unwrap_or(LOST_AFTER) })
-        }
-    }
 }
 
 impl ConfiguredPort {
@@ -188,17 +178,5 @@ impl Ports {
             ended.map_err(std::io::Error::other)??;
         }
         Ok(())
-    }
-}
-
-fn rules(configured: &WsgPort) -> Rules {
-    Rules {
-        checksum_evaluation: configured.checksum_evaluation,
-        acknowledge_any: configured.acknowledge == AcknowledgePolicy::Any,
-        allow: configured.allow.clone(),
-        limits: match configured.limits {
-            LimitsPolicy::Open => AllowedLimits::All,
-            LimitsPolicy::Fixed { max_force_n } => max_force_n.map_or(AllowedLimits::None, AllowedLimits::ForceUpTo),
-        },
     }
 }

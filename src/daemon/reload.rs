@@ -1,6 +1,5 @@
 //! Reading the configuration again while the gateway runs: all of it is prepared before any of it is applied.
 
-use std::net::SocketAddr;
 use std::sync::Arc;
 
 use tokio::net::TcpListener;
@@ -16,14 +15,16 @@ use super::modbus::ServedModbus;
 use super::ports::{PortChanges, Ports};
 use super::{listen, settings, systemd};
 use crate::access::{Access, AccessRules};
-use crate::config::{AccessConfig, Config, ConfigError, ConfigPlace, Flags, GripperConfig};
+use crate::config::{AccessConfig, Config, ConfigError, ConfigPlace, Flags, GripperConfig, JournalConfig, Modbus};
 use crate::gripper::Now;
-use crate::gripper::model::{Client, Detail, Event, GatewayEvent, Name};
 use crate::gripper::recorder::{Record, Recorder as _};
 use crate::interfaces::http::{self, HttpSettings, SharedSettings};
 use crate::journal::{Journal, Recovered};
+use crate::model::{Client, Detail, Event, GatewayEvent, Name};
 use crate::operations::ReloadRequest;
+use crate::settings::{Applied, SettingsGroup as _};
 use crate::wear::Wear;
+use crate::webhooks::{WebhookChanges, WebhookRunner, WebhookSettings};
 
 /// The parts of the gateway that a reload changes.
 pub(super) struct Reloader {
@@ -40,6 +41,7 @@ pub(super) struct Reloader {
     /// The runtime that accepts connections.
     pub(super) accept: RuntimeHandle,
     pub(super) grippers: RunningGrippers,
+    pub(super) webhooks: Arc<WebhookRunner>,
     pub(super) ports: Ports,
     /// `None` if Modbus is off.
     pub(super) modbus: Option<ServedModbus>,
@@ -53,7 +55,8 @@ struct Prepared {
     /// `None` if the address stays.
     listener: Option<TcpListener>,
     grippers: GripperDifferences,
-    /// The journal's knowledge of added grippers.
+    webhooks: WebhookChanges,
+    /// The journal's knowledge of added grippers and webhooks.
     recovered: Recovered,
     ports: PortChanges,
     /// Descriptors for the clients of each new WSG port.
@@ -127,29 +130,35 @@ impl Reloader {
             Config::load(&flags).and_then(|config| super::check(&config).map(|()| config))
         });
         let config = loaded.await.map_err(|error| ReloadError::Unusable(error.into()))??;
-        let mut fixed = fixed(&self.config, &config);
+        let differences = differences(&self.config, &config);
+        let mut fixed = with(Applied::Restart, &differences);
         // A program must not find another gripper at the same unit.
         if self.modbus.as_ref().is_some_and(|modbus| modbus.has_other_units(&config)) {
-            fixed.push("the Modbus units of grippers");
+            fixed.push("modbus_unit (another gripper had this unit)");
         }
         if !fixed.is_empty() {
             return Err(ReloadError::NeedsRestart(fixed));
         }
         let unusable = ReloadError::Unusable;
         let of_a_port = self.shares.of_ports(&config).map_err(|error| unusable(error.into()))?;
-        let settings = settings::of_http(&config, self.settings.get().tls.clone()).map_err(unusable)?;
+        let before = self.settings.get();
+        let settings = settings::of_http(&config, before.port, before.tls.clone()).map_err(unusable)?;
         let access = settings::of_access(&config).map_err(|error| unusable(error.into()))?;
         let grippers = self.grippers.compare(&self.config, &config)?;
         let ports = self.ports.prepare(&config, of_a_port).map_err(unusable)?;
         let listener =
             (config.listen != self.config.listen).then(|| self.listen(&config)).transpose().map_err(unusable)?;
-        let recovered = if grippers.added.is_empty() {
+        let port = listener.as_ref().map(TcpListener::local_addr).transpose();
+        let port = port.map_err(|error| unusable(error.into()))?.map_or(before.port, |address| address.port());
+        let settings = HttpSettings { port, ..settings };
+        let webhooks = self.webhooks.prepare(&config.webhooks).map_err(unusable)?;
+        let recovered = if grippers.added.is_empty() && self.config.webhooks == config.webhooks {
             Recovered::default()
         } else {
             self.journal.recall().await.map_err(|error| unusable(error.into()))?
         };
-        let changes = differences(&self.config, &config, &grippers);
-        Ok(Prepared { config, access, settings, listener, grippers, recovered, ports, of_a_port, changes })
+        let changes = describe(&self.config, &config, &with(Applied::Reload, &differences), &grippers);
+        Ok(Prepared { config, access, settings, listener, grippers, webhooks, recovered, ports, of_a_port, changes })
     }
 
     fn listen(&self, config: &Config) -> anyhow::Result<TcpListener> {
@@ -159,7 +168,8 @@ impl Reloader {
     }
 
     async fn apply(&mut self, prepared: Prepared) -> anyhow::Result<()> {
-        let Prepared { config, access, settings, listener, grippers, recovered, ports, of_a_port, .. } = prepared;
+        let Prepared { config, access, settings, listener, grippers, webhooks, recovered, ports, of_a_port, .. } =
+            prepared;
         self.shares.wsg_port = self.shares.wsg_port.max(of_a_port);
         self.access.replace(access);
         self.settings.replace(settings);
@@ -175,8 +185,8 @@ impl Reloader {
         if let Some(modbus) = &mut self.modbus {
             modbus.reconfigure(&config, &self.access);
         }
-        let announced = |config: &Config| (config.mdns, config.listen);
-        let is_missing = config.mdns && self.announcement.is_none();
+        let announced = |config: &Config| (config.web.mdns, config.listen);
+        let is_missing = config.web.mdns && self.announcement.is_none();
         if is_missing || announced(&config) != announced(&self.config) {
             if let Some(before) = self.announcement.take() {
                 before.withdraw().await;
@@ -184,44 +194,69 @@ impl Reloader {
             let address = self.listener.borrow().local_addr()?;
             self.announcement = Announcement::of(&config, address);
         }
+        self.webhooks.apply(webhooks, &recovered.memory).await?;
         self.config = config;
         Ok(())
     }
 }
 
-/// Returns the settings that differ and cannot change while the gateway runs.
-fn fixed(before: &Config, after: &Config) -> Vec<&'static str> {
-    let is_guarded = |config: &Config| config.access != AccessConfig::Open;
-    let has_defaults = |config: &Config| config.grippers.iter().any(|gripper| gripper.place == ConfigPlace::Default);
-    let journal = |config: &Config| (config.journal.place.clone(), config.journal.max_age, config.journal.max_bytes);
+/// Returns the keys and sections that differ, except for grippers and webhooks, which have names. A new field of
+/// [`Config`] does not compile until this function compares it.
+fn differences(before: &Config, after: &Config) -> Vec<(&'static str, Applied)> {
+    use Applied::{Reload, Restart};
+    let Config {
+        name,
+        listen,
+        web,
+        access,
+        tls,
+        drift,
+        grippers,
+        journal,
+        modbus,
+        zenoh,
+        tls_places: _,
+        webhooks: _,
+        warnings: _,
+    } = before;
+    let JournalConfig { place, max_age, max_bytes } = journal;
+    let is_guarded = |access: &AccessConfig| *access != AccessConfig::Open;
+    let has_defaults = |grippers: &[GripperConfig]| grippers.iter().any(|one| one.place == ConfigPlace::Default);
+    let modbus_address = |modbus: &Option<Modbus>| modbus.as_ref().map(|modbus| modbus.address);
+    let modbus_rules =
+        |config: &Config| config.modbus.as_ref().map(|modbus| (modbus.rules.clone(), config.modbus_units()));
     let differs = [
-        ("name", before.name != after.name),
-        ("the journal's path and limits", journal(before) != journal(after)),
-        ("public_url", before.public_url != after.public_url),
-        ("modbus", modbus_address(before) != modbus_address(after)),
-        ("zenoh", before.zenoh != after.zenoh),
-        ("webhooks", before.webhooks != after.webhooks),
+        ("name", *name != after.name, Restart),
+        ("journal", *place != after.journal.place, Restart),
+        ("journal_max_age_days", *max_age != after.journal.max_age, Restart),
+        ("journal_max_size_mb", *max_bytes != after.journal.max_bytes, Restart),
+        ("modbus", modbus_address(modbus) != modbus_address(&after.modbus), Restart),
+        ("[zenoh]", *zenoh != after.zenoh, Restart),
         // Open connections began under the other rule.
-        ("whether clients need credentials", is_guarded(before) != is_guarded(after)),
-        ("whether connections are encrypted", before.tls.is_some() != after.tls.is_some()),
+        ("[access], or whether clients need credentials,", is_guarded(access) != is_guarded(&after.access), Restart),
+        ("[tls], or whether connections are encrypted,", tls.is_some() != after.tls.is_some(), Restart),
         // An empty file, e.g. while an editor writes it, stands for simulated grippers.
-        ("the configured grippers (the new file names none)", !has_defaults(before) && has_defaults(after)),
+        (
+            "the configured grippers (the new file names none)",
+            !has_defaults(grippers) && has_defaults(&after.grippers),
+            Restart,
+        ),
+        ("listen", *listen != after.listen, Reload),
+        ("Modbus", modbus_rules(before) != modbus_rules(after), Reload),
+        ("drift", *drift != after.drift, Reload),
+        ("access and clients", *access != after.access, Reload),
+        ("tls", *tls != after.tls, Reload),
     ];
-    differs.into_iter().filter(|(_, differs)| *differs).map(|(name, _)| name).collect()
+    let differs = differs.into_iter().filter(|(_, differs, _)| *differs).map(|(key, _, applied)| (key, applied));
+    differs.chain(web.differences(&after.web)).collect()
 }
 
-/// Whether the settings of Modbus differ, wherever they stand in the file.
-fn has_other_modbus(before: &Config, after: &Config) -> bool {
-    let settings = |config: &Config| config.modbus.as_ref().map(|modbus| (modbus.allow.clone(), modbus.heartbeat));
-    settings(before) != settings(after) || before.modbus.is_some() && before.modbus_units() != after.modbus_units()
-}
-
-fn modbus_address(config: &Config) -> Option<SocketAddr> {
-    config.modbus.as_ref().map(|modbus| modbus.address)
+fn with(applied: Applied, differences: &[(&'static str, Applied)]) -> Vec<&'static str> {
+    differences.iter().filter(|(_, by)| *by == applied).map(|(key, _)| *key).collect()
 }
 
 /// Describes the changes in words.
-fn differences(before: &Config, after: &Config, grippers: &GripperDifferences) -> Vec<String> {
+fn describe(before: &Config, after: &Config, keys: &[&str], grippers: &GripperDifferences) -> Vec<String> {
     let of_grippers = |names: &[Name], change: &'static str| {
         names.iter().map(move |name| format!("gripper {name}: {change}")).collect::<Vec<_>>()
     };
@@ -235,19 +270,24 @@ fn differences(before: &Config, after: &Config, grippers: &GripperDifferences) -
     let with_other_ports: Vec<_> =
         after.grippers.iter().filter(has_other_ports).map(|gripper| gripper.name.clone()).collect();
     changes.extend(of_grippers(&with_other_ports, "WSG port changed"));
-    let differs = [
-        ("listen", before.listen != after.listen),
-        ("hosts", before.hosts != after.hosts),
-        ("cors_origins", before.cors_origins != after.cors_origins),
-        ("frame_ancestors", before.frame_ancestors != after.frame_ancestors),
-        ("Modbus", has_other_modbus(before, after)),
-        ("idle_timeout_s", before.idle_timeout != after.idle_timeout),
-        ("drift", before.drift != after.drift),
-        ("mdns", before.mdns != after.mdns),
-        ("access and clients", before.access != after.access),
-        ("tls", before.tls != after.tls),
-    ];
-    let others = differs.into_iter().filter(|(_, differs)| *differs);
-    changes.extend(others.map(|(name, _)| format!("{name}: changed")));
+    changes.extend(webhook_differences(&before.webhooks, &after.webhooks));
+    changes.extend(keys.iter().map(|key| format!("{key}: changed")));
+    changes
+}
+
+fn find_webhook<'a>(webhooks: &'a [WebhookSettings], name: &Name) -> Option<&'a WebhookSettings> {
+    webhooks.iter().find(|webhook| webhook.name == *name)
+}
+
+fn webhook_differences(before: &[WebhookSettings], after: &[WebhookSettings]) -> Vec<String> {
+    let gone = before.iter().filter(|webhook| find_webhook(after, &webhook.name).is_none());
+    let mut changes: Vec<_> = gone.map(|webhook| format!("webhook {}: removed", webhook.name)).collect();
+    for webhook in after {
+        match find_webhook(before, &webhook.name) {
+            None => changes.push(format!("webhook {}: added", webhook.name)),
+            Some(old) if old != webhook => changes.push(format!("webhook {}: changed", webhook.name)),
+            Some(_) => {}
+        }
+    }
     changes
 }

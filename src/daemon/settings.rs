@@ -5,37 +5,29 @@ use std::sync::Arc;
 use anyhow::anyhow;
 
 use crate::access::{AccessRules, Guard, TokenFile, TokenFileError};
-use crate::config::{self, AccessConfig, Config, ConfigError, TlsConfig};
+use crate::config::{self, AccessConfig, Config, ConfigError};
 use crate::interfaces::dashboard::DashboardPolicy;
 use crate::interfaces::http::HttpSettings;
-use crate::interfaces::tls::{Tls, TlsError, TlsFiles};
+use crate::interfaces::tls::{Tls, TlsError};
 
-/// Returns the settings of HTTP. Keeps the certificate in use if its files are the same.
-pub(super) fn of_http(config: &Config, before: Option<Arc<Tls>>) -> anyhow::Result<HttpSettings> {
-    let tls = config.tls.clone().map(|TlsConfig { certificate, key, client_ca }| {
-        let files = TlsFiles { certificate, key, client_ca };
-        match before.filter(|before| *before.files() == files) {
-            Some(before) => Ok(before),
-            None => Tls::new(files).map(Arc::new).map_err(|error| named(config, &error)),
-        }
+/// Returns the settings of HTTP for a listener on this port. Keeps the certificate in use if its files are the same.
+pub(super) fn of_http(config: &Config, port: u16, before: Option<Arc<Tls>>) -> anyhow::Result<HttpSettings> {
+    let tls = config.tls.clone().map(|files| match before.filter(|before| *before.files() == files) {
+        Some(before) => Ok(before),
+        None => Tls::new(files).map(Arc::new).map_err(|error| named(config, &error)),
     });
     Ok(HttpSettings {
-        allowed_hosts: config.hosts.clone(),
-        cors_origins: config.cors_origins.clone(),
-        frame_policy: DashboardPolicy::of(&config.frame_ancestors)?,
+        port,
+        frame_policy: DashboardPolicy::of(&config.web.frame_ancestors)?,
+        web: config.web.clone(),
         tls: tls.transpose()?,
-        idle_time: config.idle_timeout,
     })
 }
 
 /// Adds the setting and its place in the configuration to a TLS error.
 fn named(config: &Config, error: &TlsError) -> anyhow::Error {
-    let (Some(files), Some(places)) = (&config.tls, &config.tls_places) else { return anyhow!("{error}") };
-    let (key, place) = match error.path() {
-        path if *path == files.certificate => ("certificate", &places.certificate),
-        path if *path == files.key => ("key", &places.key),
-        _ => ("client_ca", &places.client_ca),
-    };
+    let named = config.tls_places.iter().find(|(path, ..)| path == error.path());
+    let Some((_, key, place)) = named else { return anyhow!("{error}") };
     ConfigError::at(place, format_args!("{key}: {error}")).into()
 }
 

@@ -13,7 +13,7 @@ use tar::{Builder, Header};
 use url::Url;
 
 use super::{Diagnosis, load, running};
-use crate::config::{Config, Flags, JournalPlace};
+use crate::config::{Config, Flags, JournalLocation};
 use crate::journal::{EventQuery, Limit, Reader};
 
 /// Newest events in the archive.
@@ -119,7 +119,7 @@ fn redact(key: &str, value: &mut toml::Value) {
 
 /// Returns the newest events, without the ids and descriptions of parts.
 fn events(config: &Config) -> Option<String> {
-    let JournalPlace::File(path) = &config.journal.place else { return None };
+    let JournalLocation::File(path) = &config.journal.place else { return None };
     let query = EventQuery { limit: Limit::new(EVENTS).ok()?, ..EventQuery::default() };
     let page = Reader::open(path).ok()?.events(&query).ok()?;
     let lines = page.bodies.iter().filter_map(|body| {

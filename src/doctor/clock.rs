@@ -1,13 +1,11 @@
 //! Check of this machine's clock, which gives records their times.
 
-use std::process::Command;
-
 use jiff::{SignedDuration, Timestamp};
 use serde::Deserialize;
 
 use super::{Diagnosis, Installation};
-use crate::config::JournalPlace;
-use crate::journal::{EventQuery, Limit, Reader};
+use crate::config::JournalLocation;
+use crate::journal::{EventQuery, Limit, Reader, is_synchronised};
 
 /// Tolerance for a clock that was set back a little.
 const TOLERANCE: SignedDuration = SignedDuration::from_secs(10);
@@ -21,8 +19,8 @@ pub(super) fn check(installation: &Installation) -> Vec<Diagnosis> {
     let built = std::env::current_exe().and_then(std::fs::metadata).and_then(|program| program.modified());
     let built = built.ok().and_then(|built| Timestamp::try_from(built).ok());
     let newest = match &installation.config.journal.place {
-        JournalPlace::File(path) => newest_event(path),
-        JournalPlace::Memory => None,
+        JournalLocation::File(path) => newest_event(path),
+        JournalLocation::Memory => None,
     };
     vec![judge(Timestamp::now(), built, newest, is_synchronised())]
 }
@@ -33,17 +31,7 @@ fn newest_event(journal: &std::path::Path) -> Option<Timestamp> {
     Some(serde_json::from_str::<Time>(page.bodies.first()?).ok()?.at)
 }
 
-/// Whether the time comes from a time server; `None` if nothing tells.
-fn is_synchronised() -> Option<bool> {
-    let output = Command::new("timedatectl").args(["show", "--property=NTPSynchronized", "--value"]).output().ok()?;
-    match output.stdout.trim_ascii() {
-        b"yes" => Some(true),
-        b"no" => Some(false),
-        _ => None,
-    }
-}
-
-/// Judges the time by what must be earlier: the program's file and the journal's newest event.
+/// Judges the time by two times that must be earlier: those of the program's file and of the journal's newest event.
 fn judge(
     now: Timestamp,
     built: Option<Timestamp>,

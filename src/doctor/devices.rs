@@ -6,7 +6,7 @@ use super::probe::{Identification, identify};
 use super::running::{GatewayState, ServedGripper};
 use super::{Diagnosis, Installation, Severity, can, clients, serial};
 use crate::config::{DeviceSource, GripperConfig};
-use crate::gripper::model::Name;
+use crate::model::Name;
 use crate::transport::{Address, SerialAddress, TcpAddress, UdpAddress};
 
 /// Time for a reply.
@@ -55,7 +55,7 @@ async fn check_one(running: &GatewayState, gripper: &GripperConfig) -> Diagnosis
     }
 }
 
-/// Judges a gripper by what the running gateway says.
+/// Judges a gripper by the running gateway's list of grippers.
 fn of_running(name: &Name, address: &Address, grippers: &[ServedGripper]) -> Diagnosis {
     let Some(ServedGripper { url, link, link_cause, .. }) = grippers.iter().find(|served| served.gripper == *name)
     else {

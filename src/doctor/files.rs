@@ -4,13 +4,14 @@ use std::fs;
 use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _};
 use std::path::{Path, PathBuf};
 
+use jiff::Timestamp;
 use rustix::fs::{Access, access, statvfs};
 
 use super::serial::Account;
 use super::{Diagnosis, Installation};
-use crate::access::TokenFile;
-use crate::config::{AccessConfig, Guarded, JournalPlace, TlsConfig};
-use crate::interfaces::tls::{Tls, TlsFiles};
+use crate::access::{ExpiringCredential, StoredToken, TokenFile};
+use crate::config::{AccessConfig, Guarded, JournalLocation};
+use crate::interfaces::tls::Tls;
 use crate::journal::Reader;
 
 /// Free space below which a journal soon fails: a few times its write-ahead log.
@@ -50,29 +51,55 @@ pub(super) fn secrets(installation: &Installation) -> Vec<Diagnosis> {
         files.extend(named(file));
     }
     let mut findings: Vec<_> = files.iter().filter_map(|file| exposed(file)).collect();
-    if let Some(TlsConfig { certificate, key, client_ca }) = config.tls.clone() {
-        findings.push(match Tls::new(TlsFiles { certificate: certificate.clone(), key, client_ca }) {
-            Ok(_) => Diagnosis::good("tls", certificate.display()),
+    if let Some(files) = config.tls.clone() {
+        let certificate = files.certificate.clone();
+        findings.push(match Tls::new(files).map(|tls| tls.expiry()) {
+            Ok(Some(expiry)) => judge_expiry("tls", &expiry, Timestamp::now())
+                .unwrap_or_else(|| Diagnosis::good("tls", certificate.display())),
+            Ok(None) => Diagnosis::good("tls", certificate.display()),
             Err(error) => Diagnosis::problem("tls", error),
         });
     }
     if let AccessConfig::Guarded(Guarded { tokens: path, clients, .. }) = &config.access {
         let shown = path.display();
-        findings.push(match TokenFile::at(path.clone()).list() {
-            Ok(tokens) if tokens.is_empty() && !clients.is_empty() => Diagnosis::good(
+        match TokenFile::at(path.clone()).list() {
+            Ok(tokens) if tokens.is_empty() && !clients.is_empty() => findings.push(Diagnosis::good(
                 "tokens",
                 format_args!("{shown} has no token, so only the clients in [[clients]] have rights"),
-            ),
+            )),
             Ok(tokens) if tokens.is_empty() => {
                 let state = if path.exists() { "has no token" } else { "does not exist" };
                 let remedy = "check the path, or create a token with `wsg-gateway token create`";
-                Diagnosis::warning("tokens", format_args!("{shown} {state}, so nobody can sign in: {remedy}"))
+                let text = format!("{shown} {state}, so nobody can sign in: {remedy}");
+                findings.push(Diagnosis::warning("tokens", text));
             }
-            Ok(tokens) => Diagnosis::good("tokens", format_args!("tokens: {}", tokens.len())),
-            Err(error) => Diagnosis::problem("tokens", error),
-        });
+            Ok(tokens) => findings.extend(judge_tokens(&tokens, Timestamp::now())),
+            Err(error) => findings.push(Diagnosis::problem("tokens", error)),
+        }
     }
     findings
+}
+
+/// Counts the valid tokens, and names each one that ends soon or has ended.
+fn judge_tokens(tokens: &[StoredToken], now: Timestamp) -> Vec<Diagnosis> {
+    let expiring: Vec<_> = tokens.iter().filter_map(StoredToken::expiry).collect();
+    let expired = expiring.iter().filter(|token| token.has_expired(now)).count();
+    let valid = tokens.len() - expired;
+    let counted = match expired {
+        0 => Diagnosis::good("tokens", format_args!("tokens: {valid}")),
+        _ => Diagnosis::warning("tokens", format_args!("valid tokens: {valid}, expired ones: {expired}")),
+    };
+    let notices = expiring.iter().filter_map(|token| judge_expiry("tokens", token, now));
+    std::iter::once(counted).chain(notices).collect()
+}
+
+/// Warns of a credential that ends soon or has ended.
+fn judge_expiry(check: &'static str, credential: &ExpiringCredential, now: Timestamp) -> Option<Diagnosis> {
+    if !credential.has_expired(now) && !credential.needs_attention(now) {
+        return None;
+    }
+    let ExpiringCredential { kind, name, .. } = credential;
+    Some(Diagnosis::warning(check, format_args!("{kind} {name} {}", credential.notice(now))))
 }
 
 /// Returns the files with secrets that a configuration file names, and the file itself if it contains a secret.
@@ -114,7 +141,7 @@ fn exposed(file: &Path) -> Option<Diagnosis> {
 }
 
 pub(super) fn journal(installation: &Installation) -> Vec<Diagnosis> {
-    let JournalPlace::File(path) = &installation.config.journal.place else {
+    let JournalLocation::File(path) = &installation.config.journal.place else {
         return vec![Diagnosis::warning(
             "journal",
             "in memory: records are lost when the gateway ends; name a file with --journal",
@@ -159,7 +186,7 @@ pub(super) fn journal(installation: &Installation) -> Vec<Diagnosis> {
 }
 
 pub(super) fn disk(installation: &Installation) -> Vec<Diagnosis> {
-    let JournalPlace::File(path) = &installation.config.journal.place else { return vec![] };
+    let JournalLocation::File(path) = &installation.config.journal.place else { return vec![] };
     let directory = directory(path);
     let Some(existing) = directory.ancestors().find(|directory| directory.is_dir()) else { return vec![] };
     let Ok(disk) = statvfs(existing) else { return vec![] };

@@ -4,8 +4,8 @@ use std::net::{SocketAddr, TcpListener, UdpSocket};
 
 use super::running::GatewayState;
 use super::{Diagnosis, Installation};
-use crate::config::WsgAddress;
 use crate::interfaces::sockets::remedy;
+use crate::interfaces::wsg_port::ListenAddress;
 
 pub(super) fn check(installation: &Installation) -> Vec<Diagnosis> {
     match installation.running {
@@ -23,8 +23,8 @@ pub(super) fn check(installation: &Installation) -> Vec<Diagnosis> {
     for gripper in &config.grippers {
         let what = format!("WSG port of {}", gripper.name);
         findings.extend(gripper.wsg_port.addresses.iter().map(|(address, _)| match *address {
-            WsgAddress::Tcp(address) => tcp(&what, address),
-            WsgAddress::Udp { address, .. } => finding(&what, address, UdpSocket::bind(address).map(drop)),
+            ListenAddress::Tcp(address) => tcp(&what, address),
+            ListenAddress::Udp(address, _) => finding(&what, address, UdpSocket::bind(address).map(drop)),
         }));
     }
     // Zenoh resolves endpoints with names.

@@ -10,9 +10,9 @@ use tokio::net::TcpStream;
 use tokio::time::timeout;
 
 use super::{Diagnosis, Installation};
-use crate::config::{AccessConfig, Config, JournalPlace};
-use crate::gripper::model::Name;
+use crate::config::{AccessConfig, Config, JournalLocation};
 use crate::journal;
+use crate::model::Name;
 
 /// Time limit of a request to the gateway.
 const ANSWERS_WITHIN: Duration = Duration::from_secs(2);
@@ -64,8 +64,8 @@ impl GatewayState {
             return served.map_or(Self::Silent, |served| Self::Answers { grippers: served.grippers });
         }
         let holds_journal = match &config.journal.place {
-            JournalPlace::File(path) => journal::is_in_use(path),
-            JournalPlace::Memory => None,
+            JournalLocation::File(path) => journal::is_in_use(path),
+            JournalLocation::Memory => None,
         };
         match (name, holds_journal) {
             (_, Some(true)) => Self::Silent,

@@ -13,6 +13,7 @@ use super::*;
 use crate::access::{NewToken, Role, TokenFile};
 use crate::config::{ZenohFlags, ZenohMode};
 use crate::daemon::{ServedDevice, SimulatedDevice, serve_device};
+use crate::interfaces::self_signed::SelfSigned;
 use crate::transport::{Address, TcpAddress};
 use crate::wsg::frame::encode_with;
 use crate::wsg::id;
@@ -233,6 +234,39 @@ async fn token_file_that_others_can_read_is_named() {
     assert!(missing.severity == Severity::Warning && missing.text.contains("other.json does not exist"), "{missing}");
     fs::set_permissions(&tokens, fs::Permissions::from_mode(0o644)).unwrap();
     assert_problem(&flags, "tokens", &["tokens.json can be read by others (mode 644)", "run chmod 600"]).await;
+}
+
+/// Returns the time in so many days.
+fn days(days: i64) -> jiff::Timestamp {
+    jiff::Timestamp::now() + jiff::SignedDuration::from_hours(days * 24)
+}
+
+/// Whether one of these findings of a check begins with a text.
+fn has(findings: &[&super::Diagnosis], check: &str, begin: &str) -> bool {
+    findings.iter().any(|finding| finding.check == check && finding.text.starts_with(begin))
+}
+
+#[tokio::test]
+async fn tokens_and_certificates_that_end_soon_are_named() {
+    let place = Place::new();
+    let file = TokenFile::at(place.0.join("tokens.json"));
+    for (name, expires_at) in [("mes", None), ("old", Some(days(-1))), ("plc7", Some(days(5))), ("hmi", Some(days(60)))]
+    {
+        let new = NewToken { name: name.parse().unwrap(), role: Role::Operator, grippers: None, expires_at };
+        file.create(days(-80), new).unwrap();
+    }
+    let made = SelfSigned::create("cell-7", &["localhost".to_owned()], days(-815)).unwrap();
+    let certificate = place.file("certificate.pem", 0o644, &made.certificate);
+    place.file("key.pem", 0o600, &made.key);
+    let text = "[tls]\ncertificate = \"certificate.pem\"\nkey = \"key.pem\"\n[access]\ntokens = \"tokens.json\"\n";
+    let flags = Flags { config: Some(place.file("gateway.toml", 0o600, text)), ..place.flags("sim://wsg50") };
+    let findings = findings(&flags).await;
+    let warnings: Vec<_> = findings.iter().filter(|finding| finding.severity == Severity::Warning).collect();
+    assert!(has(&warnings, "tokens", "valid tokens: 3, expired ones: 1"), "{findings:#?}");
+    assert!(has(&warnings, "tokens", "token old expired on 2"), "{findings:#?}");
+    assert!(has(&warnings, "tokens", "token plc7 expires on 2"), "{findings:#?}");
+    assert!(has(&warnings, "tls", &format!("certificate {} expires on 2", certificate.display())), "{findings:#?}");
+    assert!(!findings.iter().any(|finding| finding.text.contains("hmi")), "{findings:#?}");
 }
 
 #[tokio::test]

@@ -16,15 +16,16 @@ use std::time::{Duration, Instant};
 use futures_util::stream::{BoxStream, SelectAll};
 use futures_util::{FutureExt as _, StreamExt as _};
 use serde::{Deserialize, Serialize};
+use strum::{EnumMessage, VariantArray};
 use tokio::sync::watch;
 use tokio::task::coop::unconstrained;
 use utoipa::ToSchema;
 
 use crate::alarms::Alarms;
 use crate::fleet::Peers;
-use crate::gripper::model::{Name, State, WireRecord};
 use crate::gripper::{GripperChanges, Grippers, Handle, Now};
 use crate::journal::{Journal, Stored};
+use crate::model::{Name, State, WireRecord};
 use fleet::FleetNews;
 use notification::Recent;
 use queued::EventPosition;
@@ -33,31 +34,41 @@ pub use notification::{Notification, encoded, text_frame};
 pub use pace::Pace;
 pub use queued::Gap;
 
-/// Topic of a subscription:
-///
-/// - `state`: newest state of each gripper
-/// - `telemetry`: newest measured values of each gripper
-/// - `events`: every event, once it is durable in the journal
-/// - `grips`: every grip record, once it is durable, and again when its part was lost
-/// - `frames`: every frame to and from a device, and damaged bytes from it
-/// - `exchanges`: the same, without automatic updates from a device
-/// - `fleet`: newest state of each gripper of all gateways
-/// - `alarms`: all alarms that are active or not acknowledged
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, ToSchema)]
+/// Topic of a subscription.
+#[derive(
+    Debug,
+    Clone,
+    Copy,
+    PartialEq,
+    Eq,
+    PartialOrd,
+    Ord,
+    Hash,
+    Serialize,
+    Deserialize,
+    ToSchema,
+    EnumMessage,
+    VariantArray,
+)]
 #[serde(rename_all = "lowercase")]
 pub enum Topic {
+    /// Newest state of each gripper.
     State,
+    /// Newest measured values of each gripper.
     Telemetry,
+    /// Every event, once it is durable in the journal.
     Events,
+    /// Every grip record, once it is durable, and again when its part was lost.
     Grips,
+    /// Every frame to and from a device, and damaged bytes from it.
     Frames,
+    /// Every frame to and from a device, without its automatic updates.
     Exchanges,
+    /// Newest state of each gripper of all gateways.
     Fleet,
+    /// All alarms that are active or not acknowledged.
     Alarms,
 }
-
-/// The topics, as an error message lists them.
-pub const TOPICS: &str = "state, telemetry, events, grips, frames, exchanges, fleet, alarms";
 
 /// Rate of states and telemetry in Hz, unless a client asks for more or less.
 pub const DEFAULT_HZ: u64 = 10;

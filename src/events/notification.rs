@@ -9,7 +9,7 @@ use tokio_tungstenite::tungstenite::protocol::frame::Frame;
 use tokio_tungstenite::tungstenite::protocol::frame::coding::{Data, OpCode};
 
 use crate::gripper::Now;
-use crate::gripper::model::State;
+use crate::model::State;
 
 /// A JSON-RPC notification in a WebSocket frame, with the update's body as its parameters. Clones share the bytes.
 #[derive(Debug, Clone)]

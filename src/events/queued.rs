@@ -11,7 +11,7 @@ use tokio::sync::broadcast::{Receiver, error::RecvError};
 use utoipa::ToSchema;
 
 use super::{LiveUpdates, Notification, Source, Topic};
-use crate::gripper::model::Name;
+use crate::model::Name;
 
 /// Notice sent in place of events, grip records or frames that a slow client missed, or that are no longer in the
 /// journal.
@@ -50,7 +50,7 @@ async fn next<T: Clone>(receiver: &mut Receiver<T>) -> Option<Result<T, u64>> {
     }
 }
 
-/// Number of the last event that a subscription was sent, was told to have missed, or does not want.
+/// Number of the last event that was sent to a subscription, was reported to it as missed, or is not wanted by it.
 #[derive(Debug, Clone)]
 pub(super) struct EventPosition(Arc<AtomicI64>);
 

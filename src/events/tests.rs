@@ -4,10 +4,10 @@ use serde_json::Value;
 
 use super::*;
 use crate::gripper::fake::{self, FakeScript};
-use crate::gripper::model::{Client, Detail, Door, Event, FastStopId, Reason, RefusedEvent};
 use crate::gripper::recorder::{Record, Recorder as _};
 use crate::journal::tests::grip;
 use crate::journal::{JournalLocation, Retention};
+use crate::model::{Client, Detail, Door, Event, FastStopId, Reason, RefusedEvent};
 
 fn updates() -> (Arc<LiveUpdates>, Journal) {
     let (journal, _) = Journal::open(JournalLocation::Memory, Retention::default()).unwrap();

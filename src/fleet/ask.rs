@@ -23,8 +23,8 @@ use super::keys::{self, MAX_CLIENT_BYTES, ZenohKeys};
 use super::replies::{CollectedRoom, MAX_REPLY_BYTES, MAX_WAITING, ReplyFilter, WaitingReply};
 use super::twins::has_token;
 use crate::gripper::Now;
-use crate::gripper::model::lease::MIN_TTL;
-use crate::gripper::model::{Client, Name, Text, Urgency};
+use crate::model::lease::MIN_TTL;
+use crate::model::{Client, Name, Text, Urgency};
 
 /// Time that an answer may spend on the network, in addition to the operation's own time.
 const ON_ITS_WAY: Duration = Duration::from_secs(5);
@@ -338,7 +338,7 @@ mod tests {
     use futures_util::future::{FutureExt as _, LocalBoxFuture};
 
     use super::*;
-    use crate::gripper::model::Door;
+    use crate::model::Door;
 
     type Sent = LocalBoxFuture<'static, Result<PeerResponse, NoAnswer>>;
 

@@ -1,6 +1,6 @@
 //! The Zenoh keys of gateways and grippers.
 
-use crate::gripper::model::Name;
+use crate::model::Name;
 
 /// Prefix of all keys, with the version of their contents.
 pub const ROOT: &str = "wsg/v1";

@@ -28,8 +28,8 @@ use self::keys::{FAST_STOP_OF_ALL, ROOT, ZenohKeys, last_part};
 use self::others::{Others, PeerStop};
 use self::replies::{MAX_COLLECTIONS, ReplyRoom};
 use self::twins::Twins;
-use crate::gripper::model::{Client, FastStopId, Name, Reason, State};
 use crate::gripper::{Grippers, Now};
+use crate::model::{Client, FastStopId, Name, Reason, State};
 
 pub use ask::{EVENTS, GRIPS, NoAnswer, PeerRequest, PeerResponse, READINESS, TOKEN};
 pub use others::{KEPT_FOR, MAX_URL_BYTES, parse_dashboard};

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use super::report::{FleetGripper, PeerReport};
 use crate::gripper::Now;
-use crate::gripper::model::Name;
+use crate::model::Name;
 use url::Url;
 
 /// Maximum number of known grippers of other gateways: enough for more than a hundred cells. Grippers of gone gateways

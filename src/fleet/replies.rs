@@ -79,8 +79,8 @@ impl ReplyFilter {
         Self { waiting: room.waiting.clone(), sessions: Mutex::default() }
     }
 
-    /// Returns a reply with its room, or `None` if it is too large, if its session has replied already, or if there is no
-    /// room.
+    /// Returns a reply with its room, or `None` if it is too large, if its session has replied already, or if no room
+    /// is left.
     pub(super) fn take(&self, reply: Reply) -> Option<WaitingReply> {
         let bytes = match reply.result() {
             Ok(sample) => sample.payload().len(),

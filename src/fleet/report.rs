@@ -8,7 +8,7 @@ use utoipa::ToSchema;
 use url::Url;
 
 use super::keys::MAX_SUBJECT_BYTES;
-use crate::gripper::model::{FastStopId, Name, Text};
+use crate::model::{FastStopId, Name, Text};
 
 /// A gripper's state as published by the gateway that owns it. The lengths of its texts are bounded here.
 #[derive(Debug, Clone, PartialEq, Deserialize)]

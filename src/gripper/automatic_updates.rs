@@ -1,7 +1,7 @@
 //! Requests for automatic updates, at a period that the line can carry.
 
-use super::model::{UpdateMode, UpdateRules};
-use crate::wsg::{Command, Updates, id};
+use model::{UpdateMode, UpdateRules};
+use wsg::{Command, Updates, id};
 
 /// Getters with automatic updates.
 pub(super) const UPDATED: [u8; 5] =
@@ -17,23 +17,12 @@ pub(super) fn switch_on_all(rules: UpdateRules, bytes_per_second: Option<u32>) -
 
 /// Requests that switch off all automatic updates. The flags are last, so that a motion is still noticed meanwhile.
 pub(super) fn switch_off_all() -> impl Iterator<Item = Command> {
-    UPDATED.into_iter().rev().filter_map(|id| request(id, Updates::Off))
+    UPDATED.into_iter().rev().filter_map(|id| Command::query(id, Updates::Off))
 }
 
 /// Request that switches on the updates of one getter.
 pub(super) fn switch_on(id: u8, rules: UpdateRules, bytes_per_second: Option<u32>) -> Option<Command> {
-    request(id, updates(rules, bytes_per_second))
-}
-
-fn request(id: u8, updates: Updates) -> Option<Command> {
-    Some(match id {
-        id::GET_SYSTEM_STATE => Command::GetSystemState(updates),
-        id::GET_GRIPPER_STATE => Command::GetGripperState(updates),
-        id::GET_WIDTH => Command::GetWidth(updates),
-        id::GET_SPEED => Command::GetSpeed(updates),
-        id::GET_FORCE => Command::GetForce(updates),
-        _ => return None,
-    })
+    Command::query(id, updates(rules, bytes_per_second))
 }
 
 /// Request that reads the flags, and leaves their automatic updates on.
@@ -71,7 +60,7 @@ mod tests {
 
     #[test]
     fn devices_on_one_line_share_half_of_it() {
-        let can = "can://can0".parse::<crate::transport::Address>().unwrap().properties().bytes_per_second;
+        let can = "can://can0".parse::<transport::Address>().unwrap().properties().bytes_per_second;
         for (devices_on_line, expected_ms) in [(1, 10), (2, 12), (4, 23), (16, 91)] {
             let rules = UpdateRules { devices_on_line, ..UpdateRules::default() };
             let period_ms = period_ms(rules, can);

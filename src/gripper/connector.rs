@@ -4,7 +4,7 @@ use std::future::Future;
 use std::io;
 use std::pin::Pin;
 
-use crate::transport::{Address, ExclusiveAddress, LinkProperties, Pipe};
+use transport::{Address, ExclusiveAddress, LinkProperties, Pipe};
 
 /// Makes links to one device.
 pub trait Connector: Send + Sync + 'static {

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use super::model::Sample;
+use model::Sample;
 
 /// Most samples of one motion, enough for the longest travel at the fastest updates. Further samples are dropped.
 const MAX_SAMPLES: usize = 32_768;

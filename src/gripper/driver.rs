@@ -15,13 +15,13 @@ use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio::sync::{Notify, mpsc, oneshot, watch};
 
 use super::actor::{Actor, ActorConfig};
-use super::clock::{Now, sleep_until};
 use super::connector::Connector;
 use super::handle::{ActorRequest, FastStopRequest, Handle, MAX_WAITING_FAST_STOPS, MAX_WAITING_REQUESTS};
-use super::model::CommandId;
 use super::recorder::{JournalHealth, Record, Recorder, RestoredState};
-use crate::transport::Pipe;
-use crate::wsg::Command;
+use model::CommandId;
+use model::clock::{Now, sleep_until};
+use transport::Pipe;
+use wsg::Command;
 
 /// Pause before the first attempt to reconnect; it doubles with each attempt.
 const FIRST_BACK_OFF: Duration = Duration::from_millis(100);
@@ -349,7 +349,7 @@ impl Driver {
     /// Requests that can still act late are thrown away instead, and the gripper's FAST STOP is then welcome.
     async fn farewell(&self, link: &mut LinkIo) {
         if self.actor.may_act_late() {
-            // What still waits in a buffer must not reach the device after this connection: nobody would know.
+            // Bytes that still wait in a buffer must not reach the device after this connection: nobody would know.
             if let Some(discard_unsent) = &link.pipe.discard_unsent {
                 discard_unsent();
             }

@@ -1,21 +1,23 @@
 //! A gripper without a device, for tests of the interfaces: a handle, and an actor that follows a script.
 
+#![allow(clippy::unwrap_used, clippy::missing_panics_doc, reason = "only tests use this")]
+
 use std::collections::HashMap;
 use std::sync::Arc;
 
 use jiff::Timestamp;
 use tokio::sync::{broadcast, mpsc, watch};
 
-use super::clock;
-use super::error::{Invalid, Rejection};
 use super::handle::{AcquiredLease, ActorRequest, FastStopRequest, Handle, Ticket};
 use super::info::Info;
 use super::lease::{LeaseState, Terms};
-use super::model::{
+use model::clock;
+use model::error::{Invalid, Rejection};
+use model::{
     CommandId, CommandReport, CustomIds, FastStopCause, FastStopId, LatchFields, LeaseRules, LeaseToken, Name, Outcome,
     Phase, Reason, RequestId, State, Submission, TakeLease,
 };
-use crate::wsg::{self, Data};
+use wsg::{self, Data};
 
 /// Id of a custom command that only reads.
 pub const READ_ID: u8 = 0xB0;
@@ -58,6 +60,7 @@ impl Default for FakeScript {
 }
 
 /// The handle of a gripper that follows a script, and the requests that it receives.
+#[must_use]
 pub fn gripper(name: &str, script: FakeScript) -> (Handle, mpsc::UnboundedReceiver<Seen>) {
     let name: Name = name.parse().unwrap();
     let (requests, asked) = mpsc::channel(64);

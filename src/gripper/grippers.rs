@@ -6,7 +6,7 @@ use std::sync::Arc;
 use tokio::sync::watch;
 
 use super::handle::{FastStop, Handle};
-use super::model::{Client, FastStopId, Name, Reason};
+use model::{Client, FastStopId, Name, Reason};
 
 /// The grippers that this gateway owns. Clones share them, so a reload changes them for everyone.
 #[derive(Debug, Clone)]

@@ -7,16 +7,15 @@ use std::time::{Duration, Instant};
 use tokio::sync::{broadcast, mpsc, oneshot, watch};
 
 use super::actor::ActorConfig;
-use super::clock;
 use super::connector::Connector;
-use super::error::{Failure, Rejection};
 use super::info::Info;
 use super::lease::LeaseKeepAlive;
-use super::model::{
+use model::clock;
+use model::error::{Failure, Rejection};
+use model::{
     Action, Client, CommandId, CommandReport, CustomIds, FastStopCause, FastStopId, Fault, Lease, LeaseToken, Link,
     LossCause, Name, Phase, Reason, RequestId, State, Submission, TakeLease, WireRecord,
 };
-use crate::wsg;
 
 /// Requests that can wait for the actor. The actor answers each within microseconds, so a full queue means that it
 /// can't keep up, and further requests are rejected. Requests that stop, or that keep or end a lease, wait for a free

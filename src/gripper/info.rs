@@ -5,8 +5,8 @@ use std::sync::Arc;
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::model::{CustomIds, Link, Name};
-use crate::wsg::{DeviceTag, Force, SystemInfo, SystemLimits};
+use model::{CustomIds, Link, Name};
+use wsg::{DeviceTag, Force, SystemInfo, SystemLimits};
 
 /// A gripper and its device.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]

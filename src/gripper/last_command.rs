@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::model::{CommandId, Outcome};
+use model::{CommandId, Outcome};
 
 /// The newest motion, also across restarts of the gateway. Stops and streamed commands do not count.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -13,7 +13,7 @@ pub(super) struct LastCommand {
     /// Result of the motion; `None` while it runs.
     outcome: Option<Outcome>,
     /// Count of numbers that the next motion skips.
-    #[serde(skip)]
+    #[serde(default)]
     skipped: u32,
 }
 
@@ -22,7 +22,7 @@ impl LastCommand {
     /// numbers may have been used without being persisted.
     pub(super) fn restored(self, skipped: u32) -> Self {
         let outcome = self.id.map(|_| self.outcome.unwrap_or(Outcome::Unknown));
-        Self { outcome, skipped, ..self }
+        Self { outcome, skipped: self.skipped.saturating_add(skipped), ..self }
     }
 
     /// Notes an admitted motion, and returns its number.
@@ -77,5 +77,14 @@ mod tests {
         assert_eq!((restored.number(), restored.outcome()), (1, Some(Outcome::Unknown)));
         assert_eq!(restored.admitted(CommandId::generate()), 1002);
         assert_eq!(LastCommand::default().restored(0), LastCommand::default());
+    }
+
+    #[test]
+    fn skipped_numbers_outlive_a_restart_without_a_motion() {
+        let mut motion = LastCommand::default();
+        motion.admitted(CommandId::generate());
+        let persisted = serde_json::to_string(&motion.restored(1000)).unwrap();
+        let mut again = serde_json::from_str::<LastCommand>(&persisted).unwrap().restored(0);
+        assert_eq!(again.admitted(CommandId::generate()), 1002);
     }
 }

@@ -8,11 +8,11 @@
 use std::time::{Duration, Instant};
 
 use super::Now;
-use super::error::{Conflict, Invalid, Rejection};
 use super::handle::{FastStopRequest, ResultSender};
-use super::model::{Client, Door, FastStopCause, FastStopId, IdSource, Latch, Reason};
-use crate::wsg::SystemState;
-use crate::wsg::session::Token;
+use model::error::{Conflict, Invalid, Rejection};
+use model::{Client, Door, FastStopCause, FastStopId, IdSource, Latch, Reason};
+use wsg::SystemState;
+use wsg::session::Token;
 
 /// Period at which a FAST STOP is repeated until it is confirmed.
 pub(super) const REPEAT_EVERY: Duration = Duration::from_millis(100);

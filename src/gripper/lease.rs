@@ -7,9 +7,9 @@ use std::time::{Duration, Instant};
 use serde::{Deserialize, Serialize};
 use tokio::sync::Notify;
 
-use super::error::{Conflict, Invalid, Rejection};
-use super::model::lease::{DEFAULT_TTL, MIN_TTL};
-use super::model::{Client, Door, Lease, LeaseRules, LeaseToken, OnLossHolding, OnLossMoving, TakeLease};
+use model::error::{Conflict, Invalid, Rejection};
+use model::lease::{DEFAULT_TTL, MIN_TTL};
+use model::{Client, Door, Lease, LeaseRules, LeaseToken, OnLossHolding, OnLossMoving, TakeLease};
 
 /// Time for which a request for the lease counts without being repeated.
 const REQUEST_LASTS: Duration = Duration::from_mins(1);
@@ -231,11 +231,11 @@ impl LeaseState {
                 } else if held.is_bound() {
                     Conflict::LeaseBound { holder: name, ttl_ms: expires_in_ms }
                 } else {
-                    Conflict::LeaseHeld { holder: name, expires_in_ms: Some(expires_in_ms) }
+                    Conflict::LeaseHeld { holder: name, expires_in_ms }
                 })
             }
             (None, None) => match &self.reserved {
-                Some(holder) => Err(Conflict::LeaseHeld { holder: holder.name.clone(), expires_in_ms: None }),
+                Some(holder) => Err(Conflict::Reserved { holder: holder.name.clone() }),
                 None => Ok(()),
             },
         }
@@ -488,7 +488,7 @@ mod tests {
         let terms = Terms::of(&wish, &LeaseRules::default()).unwrap();
         lease.take(now, &wish, terms, token.clone(), false).unwrap();
         let request = lease.keep(now, Some(&token)).unwrap();
-        assert!(matches!(lease.check(now, &other, None), Err(Conflict::LeaseHeld { expires_in_ms: Some(3000), .. })));
+        assert!(matches!(lease.check(now, &other, None), Err(Conflict::LeaseHeld { expires_in_ms: 3000, .. })));
         drop(request);
         let connection = lease.bind(now, Some(&token)).unwrap();
         let refusal = lease.check(now + DEFAULT_TTL * 2, &other, None).unwrap_err();

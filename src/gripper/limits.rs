@@ -2,9 +2,9 @@
 //! itself would clamp them, and so are targets that the soft limits forbid. Fingers outside the soft limits may move
 //! towards them. Until the device has reported its limits, the limits of the whole gripper family apply.
 
-use super::error::Invalid;
-use super::model::Motion;
-use crate::wsg::{Acceleration, Command, Force, NotFinite, SoftLimits, Speed, SystemLimits, Width};
+use model::Motion;
+use model::error::Invalid;
+use wsg::{Acceleration, Command, Force, NotFinite, SoftLimits, Speed, SystemLimits, Width};
 
 /// Width beyond any gripper of the family; the speed, acceleration and force below likewise.
 pub const WIDEST_MM: f32 = 1000.0;
@@ -181,7 +181,7 @@ fn in_range(field: &'static str, value: f32, (min, max, limit): Range) -> Result
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::wsg::MoveFlags;
+    use wsg::MoveFlags;
 
     fn width(mm: f32) -> Width {
         Width::new(mm).unwrap()
@@ -251,7 +251,7 @@ mod tests {
         assert_eq!(field(&limits.check_motion(&grip(9.0, 50.0, None), None)), Some(("width_mm", 10.0, 60.0)));
         assert_eq!(field(&limits.check_motion(&grip(9.0, 50.0, None), Some(30.0))), Some(("width_mm", 10.0, 60.0)));
         assert_eq!(
-            limits.check_motion(&Motion::Home(crate::wsg::HomingDirection::Default), None),
+            limits.check_motion(&Motion::Home(wsg::HomingDirection::Default), None),
             Ok(()),
             "homing ignores them"
         );

@@ -17,9 +17,9 @@ use prometheus::{
 use strum::VariantArray as _;
 use tokio::sync::watch;
 
-use super::clock;
 use super::handle::Handle;
-use super::model::{FastStopCause, Kind, Link, Name, Outcome, State, Values};
+use model::clock;
+use model::{FastStopCause, Kind, Link, Name, Outcome, State, Values};
 
 /// Largest number of series for one gripper.
 pub const MAX_SERIES: usize = 229;
@@ -302,8 +302,8 @@ impl Of<'_> {
 #[cfg(test)]
 mod tests {
     use super::super::fake::{self, FakeScript};
-    use super::super::model::{Client, Door, FastStopId, Reason};
     use super::*;
+    use model::{Client, Door, FastStopId, Reason};
 
     #[tokio::test]
     async fn series_of_a_gripper_are_bounded_and_start_at_zero() {

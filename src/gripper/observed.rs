@@ -5,8 +5,8 @@ use std::time::{Duration, Instant};
 use super::Now;
 use super::automatic_updates::{UPDATED, period_ms};
 use super::limits::{FASTEST_MM_S, STRONGEST_N, WIDEST_MM};
-use super::model::{CommandId, LinkClock, Measured, Missing, UpdateMode, UpdateRules, Values};
-use crate::wsg::{Data, GripperState, SystemState, id};
+use model::{CommandId, LinkClock, Measured, Missing, UpdateMode, UpdateRules, Values};
+use wsg::{Data, GripperState, SystemState, id};
 
 /// Periods that a value can miss before it counts as unknown.
 const GOOD_PERIODS: u32 = 5;
@@ -351,7 +351,7 @@ fn take_within<T: Copy + PartialEq>(
 mod tests {
     use super::super::automatic_updates::switch_on;
     use super::*;
-    use crate::wsg::{Command, Force, Speed, Updates, Width};
+    use wsg::{Command, Force, Speed, Updates, Width};
 
     #[test]
     fn updates_on_change_are_polled_and_never_missed() {

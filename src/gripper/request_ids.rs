@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::handle::Ticket;
-use super::model::{CommandReport, Kind, Outcome, Parameters, RequestId};
+use model::{CommandReport, Kind, Outcome, Parameters, RequestId};
 
 /// Time for which a request id stands for its command.
 pub(super) const REPLAYED_FOR: Duration = Duration::from_mins(10);

@@ -3,8 +3,8 @@
 
 use std::collections::{BTreeSet, VecDeque};
 
-use crate::wsg::session::Token;
-use crate::wsg::{
+use wsg::session::Token;
+use wsg::{
     Acceleration, Command, Data, DeviceTag, Force, Reply, SoftLimits, Status, SystemInfo, SystemLimits, Updates, id,
 };
 
@@ -270,9 +270,9 @@ fn is_switch_on(command: &Command) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gripper::automatic_updates;
-    use crate::gripper::model::UpdateRules;
-    use crate::wsg::{DeviceType, Firmware, Speed, SystemState, Width};
+    use crate::automatic_updates;
+    use model::UpdateRules;
+    use wsg::{DeviceType, Firmware, Speed, SystemState, Width};
 
     fn switch_on() -> impl Iterator<Item = Command> {
         automatic_updates::switch_on_all(UpdateRules::default(), None)

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use ipnet::IpNet;
 
 use crate::access::{Access, Identity, Proof, Right, Role, Unauthorized};
-use crate::gripper::model::{Client, Door, Name};
+use crate::model::{Client, Door, Name};
 
 /// The addresses that may connect, and the clients that the configuration knows by their addresses.
 #[derive(Debug)]

@@ -1,7 +1,7 @@
 //! TLS of the server: the certificate and its key, read again whenever their files change.
 
-use std::fs;
-use std::io;
+use std::fs::{self, File};
+use std::io::{self, Write as _};
 use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError, RwLock};
@@ -15,7 +15,9 @@ use tokio_rustls::rustls::server::{NoServerSessionStorage, WebPkiClientVerifier}
 use tokio_rustls::rustls::{self, RootCertStore, ServerConfig};
 use x509_parser::prelude::{FromDer as _, GeneralName, X509Certificate};
 
-use crate::access::ClientCertificate;
+use super::self_signed::{SelfSignedError, is_own, renewed};
+use crate::access::{ClientCertificate, CredentialKind, ExpiringCredential};
+use crate::model::without_byte_order_mark;
 
 /// Permissions that the key's file must not grant. Its group may read it, as on many systems.
 const FOR_EVERYONE: u32 = 0o007;
@@ -36,11 +38,20 @@ pub struct TlsFiles {
     pub key: PathBuf,
     /// Certificates of the authorities that sign clients' certificates.
     pub client_ca: Option<PathBuf>,
+    /// Whether clients trust exactly this certificate, so that the gateway does not renew its own one.
+    pub pinned: bool,
 }
 
 struct Current {
     written: Written,
+    usable: Usable,
+}
+
+/// Files that can be used.
+struct Usable {
     config: Arc<ServerConfig>,
+    /// The certificate that ends first; `None` if that cannot be read.
+    expiry: Option<ExpiringCredential>,
 }
 
 impl std::fmt::Debug for Current {
@@ -49,8 +60,8 @@ impl std::fmt::Debug for Current {
     }
 }
 
-/// Times at which the files were written.
-type Written = [Option<SystemTime>; 3];
+/// Times at which the files were written, and their inodes: a file can be replaced within one tick of the clock.
+type Written = [Option<(SystemTime, u64)>; 3];
 
 /// Reason why a certificate cannot be used, with the remedy.
 #[derive(Debug, thiserror::Error)]
@@ -65,6 +76,15 @@ pub enum TlsError {
     Unusable { certificate: PathBuf, key: PathBuf, cause: rustls::Error },
     #[error("{path} cannot be used to check clients' certificates: {cause}")]
     NoAuthority { path: PathBuf, cause: String },
+}
+
+/// Reason why a certificate cannot be renewed.
+#[derive(Debug, thiserror::Error)]
+pub enum RenewalError {
+    #[error(transparent)]
+    Files(#[from] TlsError),
+    #[error(transparent)]
+    SelfSigned(#[from] SelfSignedError),
 }
 
 impl TlsError {
@@ -85,7 +105,7 @@ impl Tls {
     /// # Errors
     /// [`TlsError`]
     pub fn new(files: TlsFiles) -> Result<Self, TlsError> {
-        let current = Current { written: files.written(), config: files.config()? };
+        let current = Current { written: files.written(), usable: files.read()? };
         Ok(Self { files, current: RwLock::new(current) })
     }
 
@@ -99,36 +119,72 @@ impl Tls {
         let written = self.files.written();
         let current = self.current.read().unwrap_or_else(PoisonError::into_inner);
         if current.written == written {
-            return current.config.clone();
+            return current.usable.config.clone();
         }
         drop(current);
         let mut current = self.current.write().unwrap_or_else(PoisonError::into_inner);
         if current.written != written {
             current.written = written;
-            match self.files.config() {
-                Ok(config) => {
+            match self.files.read() {
+                Ok(usable) => {
                     tracing::info!(certificate = %self.files.certificate.display(), "new certificate in use");
-                    current.config = config;
+                    current.usable = usable;
                 }
                 Err(error) => tracing::error!(%error, "new certificate not used: the last one stays in use"),
             }
         }
-        current.config.clone()
+        current.usable.config.clone()
     }
+
+    /// Returns the end of the newest certificate, or of one that certifies it if that ends first.
+    #[must_use]
+    pub fn expiry(&self) -> Option<ExpiringCredential> {
+        self.config();
+        self.current.read().unwrap_or_else(PoisonError::into_inner).usable.expiry.clone()
+    }
+
+    /// Renews the certificate in its file, if it is due and the gateway made it itself. Returns whether it was.
+    ///
+    /// # Errors
+    /// [`RenewalError`]
+    pub fn renew(&self, now: Timestamp) -> Result<bool, RenewalError> {
+        let TlsFiles { certificate, key, pinned, .. } = &self.files;
+        if *pinned {
+            return Ok(false);
+        }
+        let key = String::from_utf8_lossy(&read(key)?).into_owned();
+        let Some(renewed) = renewed(&read(certificate)?, &key, now)? else { return Ok(false) };
+        replace(certificate, &renewed).map_err(|cause| failed(certificate, cause))?;
+        Ok(true)
+    }
+}
+
+/// Replaces a file in one step, so that nobody reads a part of it. It keeps its permissions.
+fn replace(path: &Path, text: &str) -> io::Result<()> {
+    let unfinished = path.with_extension("unfinished");
+    // A leftover of a killed process, or a link planted by another user.
+    match fs::remove_file(&unfinished) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+        _ => {}
+    }
+    let mut file = File::create_new(&unfinished)?;
+    file.set_permissions(fs::metadata(path)?.permissions())?;
+    file.write_all(text.as_bytes())?;
+    file.sync_all()?;
+    fs::rename(unfinished, path)
 }
 
 impl TlsFiles {
     fn written(&self) -> Written {
-        let modified = |path: &Path| fs::metadata(path).and_then(|metadata| metadata.modified()).ok();
-        [Some(&self.certificate), Some(&self.key), self.client_ca.as_ref()]
-            .map(|path| path.and_then(|path| modified(path)))
+        [Some(&self.certificate), Some(&self.key), self.client_ca.as_ref()].map(|path| written(path?))
     }
 
     /// Reads the files. TLS 1.2 and 1.3 are spoken, with the cipher suites of rustls, which are all strong. Clients may
     /// have a certificate; one that no authority has signed ends the handshake.
-    fn config(&self) -> Result<Arc<ServerConfig>, TlsError> {
-        let Self { certificate, key, client_ca } = self;
+    fn read(&self) -> Result<Usable, TlsError> {
+        let Self { certificate, key, client_ca, pinned } = self;
         let chain = certificates(certificate)?;
+        let expiry = first_expiry(certificate, &chain, *pinned);
         let mode = fs::metadata(key).map_err(|cause| failed(key, cause))?.mode();
         if mode & FOR_EVERYONE != 0 {
             return Err(TlsError::Exposed { path: key.clone(), mode: mode & 0o777 });
@@ -161,8 +217,27 @@ impl TlsFiles {
             config.session_storage = Arc::new(NoServerSessionStorage {});
             config.send_tls13_tickets = 0;
         }
-        Ok(Arc::new(config))
+        Ok(Usable { config: Arc::new(config), expiry })
     }
+}
+
+/// Returns the end of the certificate that ends first. Clients check all of a chain.
+fn first_expiry(path: &Path, chain: &[CertificateDer<'_>], pinned: bool) -> Option<ExpiringCredential> {
+    let ends = chain.iter().filter_map(|certificate| {
+        let (_, certificate) = X509Certificate::from_der(certificate).ok()?;
+        let validity = certificate.validity();
+        Some(ExpiringCredential {
+            kind: if is_own(&certificate) && !pinned {
+                CredentialKind::RenewedCertificate
+            } else {
+                CredentialKind::Certificate
+            },
+            name: path.display().to_string().into(),
+            valid_from: Timestamp::from_second(validity.not_before.timestamp()).ok()?,
+            expires_at: Timestamp::from_second(validity.not_after.timestamp()).ok()?,
+        })
+    });
+    ends.min_by_key(|credential| credential.expires_at)
 }
 
 /// Returns the holder of a client's certificate, if it has one common name.
@@ -188,12 +263,18 @@ pub fn server_name(certificate: &CertificateDer<'_>) -> Option<String> {
     })
 }
 
+fn written(path: &Path) -> Option<(SystemTime, u64)> {
+    let metadata = fs::metadata(path).ok()?;
+    Some((metadata.modified().ok()?, metadata.ino()))
+}
+
 fn failed(path: &Path, cause: io::Error) -> TlsError {
     TlsError::File { path: path.to_owned(), cause }
 }
 
 fn read(path: &Path) -> Result<Vec<u8>, TlsError> {
-    fs::read(path).map_err(|cause| failed(path, cause))
+    let text = fs::read(path).map_err(|cause| failed(path, cause))?;
+    Ok(without_byte_order_mark(&text).to_owned())
 }
 
 fn certificates(path: &Path) -> Result<Vec<CertificateDer<'static>>, TlsError> {
@@ -205,6 +286,9 @@ fn certificates(path: &Path) -> Result<Vec<CertificateDer<'static>>, TlsError> {
 mod tests {
     use std::os::unix::fs::PermissionsExt as _;
 
+    use jiff::SignedDuration;
+
+    use super::super::self_signed::SelfSigned;
     use super::*;
 
     #[test]
@@ -212,7 +296,7 @@ mod tests {
         let directory = std::env::temp_dir().join(format!("wsg-tls-{}", std::process::id()));
         fs::create_dir_all(&directory).unwrap();
         let [certificate, key] = ["certificate.pem", "key.pem"].map(|name| directory.join(name));
-        let files = || TlsFiles { certificate: certificate.clone(), key: key.clone(), client_ca: None };
+        let files = || TlsFiles { certificate: certificate.clone(), key: key.clone(), client_ca: None, pinned: false };
         let said = || Tls::new(files()).unwrap_err().to_string();
         assert!(said().contains("certificate.pem: No such file"), "{}", said());
         let pair = rcgen::generate_simple_self_signed(["localhost".to_owned()]).unwrap();
@@ -225,12 +309,36 @@ mod tests {
         let other = rcgen::generate_simple_self_signed(["localhost".to_owned()]).unwrap();
         fs::write(&key, other.signing_key.serialize_pem()).unwrap();
         assert!(said().contains("cannot be used together"), "{}", said());
-        fs::write(&key, pair.signing_key.serialize_pem()).unwrap();
+        // Some editors begin a file with a byte order mark.
+        fs::write(&key, format!("\u{FEFF}{}", pair.signing_key.serialize_pem())).unwrap();
+        fs::write(&certificate, format!("\u{FEFF}{}", pair.cert.pem())).unwrap();
         Tls::new(files()).unwrap();
         let none = directory.join("authority.pem");
         fs::write(&none, "").unwrap();
         let error = Tls::new(TlsFiles { client_ca: Some(none), ..files() }).unwrap_err().to_string();
         assert!(error.contains("authority.pem cannot be used to check"), "{error}");
+        fs::remove_dir_all(directory).unwrap();
+    }
+
+    #[test]
+    fn own_certificate_is_renewed_in_its_file_unless_it_is_pinned() {
+        let directory = std::env::temp_dir().join(format!("wsg-renewal-{}", std::process::id()));
+        fs::create_dir_all(&directory).unwrap();
+        let [certificate, key] = ["certificate.pem", "key.pem"].map(|name| directory.join(name));
+        let now = Timestamp::now();
+        let long_ago = now - SignedDuration::from_hours(822 * 24);
+        let made = SelfSigned::create("cell-7", &["localhost".to_owned()], long_ago).unwrap();
+        fs::write(&certificate, &made.certificate).unwrap();
+        fs::write(&key, made.key).unwrap();
+        fs::set_permissions(&key, fs::Permissions::from_mode(0o600)).unwrap();
+        let files = TlsFiles { certificate: certificate.clone(), key, client_ca: None, pinned: true };
+        let pinned = Tls::new(files.clone()).unwrap();
+        assert!(!pinned.renew(now).unwrap() && pinned.expiry().unwrap().needs_attention(now));
+        let tls = Tls::new(TlsFiles { pinned: false, ..files }).unwrap();
+        assert!(tls.renew(now).unwrap() && !tls.expiry().unwrap().needs_attention(now));
+        assert!(!tls.renew(now).unwrap(), "it is renewed once");
+        assert!(fs::read_to_string(&certificate).unwrap() != made.certificate);
+        assert_eq!(fs::read_dir(&directory).unwrap().count(), 2, "no file is left behind");
         fs::remove_dir_all(directory).unwrap();
     }
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use jiff::Timestamp;
 use serde::Deserialize;
 
-use crate::gripper::model::{CommandEvent, CommandId, CommandReport, Done, Door, Name, Phase, RequestedValues};
+use crate::model::{CommandEvent, CommandId, CommandReport, Done, Door, Name, Phase, RequestedValues};
 
 /// The parts of a `command` event that describe the command.
 #[derive(Debug, Deserialize)]

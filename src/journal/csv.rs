@@ -2,7 +2,7 @@
 
 use serde_json::{Map, Value};
 
-use crate::gripper::model::Sample;
+use crate::model::Sample;
 
 /// Columns of events of all kinds.
 pub const EVENT_COLUMNS: &[&str] = &[
@@ -213,7 +213,7 @@ mod tests {
     use super::super::row::Row;
     use super::super::tests::{admitted, done, grip, link, started};
     use super::*;
-    use crate::gripper::model::Outcome;
+    use crate::model::Outcome;
 
     fn first_line(text: &str) -> Vec<String> {
         let mut reader = ::csv::Reader::from_reader(text.as_bytes());

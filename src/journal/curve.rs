@@ -1,6 +1,6 @@
 //! Encoding of curves: each sample is the difference to the one before, in steps finer than the device's resolution.
 
-use crate::gripper::model::Sample;
+use crate::model::Sample;
 
 /// Steps of a width: 0.001 mm.
 const STEPS_PER_MM: f64 = 1000.0;

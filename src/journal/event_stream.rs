@@ -18,7 +18,7 @@ const PAGE: u64 = 16;
 #[derive(Debug, PartialEq)]
 pub enum StreamItem {
     Event(Arc<Stored>),
-    /// Events of any gripper that retention has removed.
+    /// Events of any gripper that retention has removed. Events that it has left can be among them, and follow.
     Removed {
         /// Sequence number of the last event before them.
         after: i64,
@@ -98,7 +98,7 @@ impl EventStream {
             limit: Limit::new(PAGE).unwrap_or_default(),
             ..EventQuery::default()
         };
-        let (first, page) = self.pool.read(move |reader| reader.events_and_first(&query, until)).await?;
+        let (missed, page) = self.pool.read(move |reader| reader.events_and_removed(&query, until)).await?;
         let read = page.bodies.into_iter().map(|body| Stored::of(body).map(Arc::new));
         let read = read.collect::<Result<Vec<_>, _>>();
         let read = read.map_err(|error| ReadError(format!("an event in the journal is damaged: {error}")))?;
@@ -107,7 +107,6 @@ impl EventStream {
             _ => until,
         };
         // Events removed beyond `until` show at the next read.
-        let missed = first.map_or(until, |first| until.min(first - 1)) - after;
         self.read.extend((missed > 0).then_some(StreamItem::Removed { after, missed }));
         self.read.extend(read.into_iter().map(StreamItem::Event));
         Ok(())

@@ -7,19 +7,23 @@
 mod backup;
 mod chain;
 mod check;
+mod clock;
 mod commands;
 pub mod csv;
 mod curve;
 mod event_stream;
 #[cfg(any(test, fuzzing))]
 pub(crate) mod fuzz;
+mod head;
 mod identity;
+mod kept;
 mod presence;
 mod prune;
 mod query;
 mod rates;
 mod reader;
 mod recovery;
+mod restored;
 mod row;
 mod runs;
 mod schema;
@@ -40,17 +44,20 @@ use std::time::{Duration, Instant};
 use tokio::sync::{Semaphore, broadcast, watch};
 use uuid::Uuid;
 
-use crate::gripper::model::{CommandEvent, CommandId, CommandReport, Detail, Event, Name, PersistedState, Sample};
-use crate::gripper::recorder::{JournalHealth, Record, Recorder};
+use crate::gripper::recorder::{JournalHealth, Record, Recorder, UnknownPast};
+use crate::model::{Client, CommandEvent, CommandId, CommandReport, Detail, Event, Name, PersistedState, Sample};
 use check::Check;
+use head::HeadFile;
 use reader::Pool;
 use shared::Shared;
 use store::Store;
 use writer::{JournalWriter, WriterInput};
 
 pub use backup::{BackupError, back_up};
+pub use clock::is_synchronised;
 pub use commands::command_of;
 pub use event_stream::{EventStream, StreamItem};
+pub use head::{Head, InvalidHead};
 pub use query::{Cursor, EventQuery, Filter, GripQuery, InvalidCursor, InvalidLimit, Limit, Order, Page, Query};
 pub use reader::Reader;
 pub use recovery::Recovered;
@@ -89,6 +96,8 @@ pub struct Journal {
     /// Permit for computing statistics: only one computation runs at a time.
     statistics: Arc<Semaphore>,
     id: Uuid,
+    /// The time without records, if the journal was restored.
+    unknown_past: Option<Arc<UnknownPast>>,
 }
 
 /// Handle of the writing thread, which ends with the last [`Journal`].
@@ -116,10 +125,17 @@ impl Journal {
         let store = Store::open(place)?;
         let source = store.source.clone();
         let unusable = |error| OpenError::Unusable(source.describe(&error));
-        let id = identity::identify(&store.connection);
-        let (recovered, events) = recovery::recover(&store.connection).map_err(unusable)?;
-        let writer = JournalWriter::new(store, Retention { max_bytes, ..retention }, events).map_err(unusable)?;
+        let opened = restored::look(&store);
+        let id = opened.id;
+        let (mut recovered, mut events) = recovery::recover(&store.connection).map_err(unusable)?;
+        recovered.unknown_past.clone_from(&opened.unknown_past);
+        events.extend(opened.event);
+        let head = HeadFile::of(&store, id);
+        let retention = Retention { max_bytes, ..retention };
+        let writer = JournalWriter::new(store, head, retention, events).map_err(unusable)?;
+        tracing::info!(head = %writer.head(), journal = %source.place, "journal opened");
         let shared = writer.shared();
+        shared.set_restored(opened.unknown_past.as_ref().map(|past| past.cause().to_owned()));
         let check = Check::start(&source, shared.clone())?;
         let (inputs, queue) = sync_channel(QUEUE + ENDS);
         let (watched, place) = (shared.clone(), source.place.clone());
@@ -128,7 +144,8 @@ impl Journal {
         let thread = spawn("journal", move || writer.run(&queue))?;
         let writing = Arc::new(Writing { inputs, check: Mutex::new(check), thread: Mutex::new(Some(thread)) });
         let statistics = Arc::new(Semaphore::new(1));
-        Ok((Self { writing, shared, pool: Pool::new(&source), statistics, id }, recovered))
+        let unknown_past = opened.unknown_past;
+        Ok((Self { writing, shared, pool: Pool::new(&source), statistics, id, unknown_past }, recovered))
     }
 
     /// Writes the waiting records and the orderly end of the gateway, then stops writing. Later records are lost.
@@ -141,6 +158,29 @@ impl Journal {
         closing.await.map_err(|error| CloseError(error.to_string()))?.map_err(CloseError)
     }
 
+    /// Notes that a person knows of the restored journal: unknown request ids are accepted again.
+    pub fn confirm_restored(&self) {
+        if let Some(past) = &self.unknown_past {
+            past.confirm();
+            self.shared.set_restored(None);
+            self.send(WriterInput::ConfirmRestored);
+        }
+    }
+
+    /// Notes that a person trusts the wall clock.
+    pub fn confirm_clock(&self) {
+        self.send(WriterInput::ConfirmClock);
+    }
+
+    /// Sends an input that a full queue may delay.
+    fn send(&self, input: WriterInput) {
+        let inputs = self.writing.inputs.clone();
+        // The thread ends only with the journal.
+        if let Err(TrySendError::Full(input)) = inputs.try_send(input) {
+            tokio::task::spawn_blocking(move || inputs.send(input));
+        }
+    }
+
     /// Returns the journal's id, which no other journal has.
     #[must_use]
     pub fn id(&self) -> Uuid {
@@ -151,6 +191,13 @@ impl Journal {
     #[must_use]
     pub fn last_seq(&self) -> i64 {
         self.shared.committed()
+    }
+
+    /// Whether a client may make another change that has a record of its own: some thousand at once, then about one a
+    /// second.
+    #[must_use]
+    pub fn allows_change(&self, client: &Client) -> bool {
+        self.shared.rates.allows(Instant::now(), client)
     }
 
     /// Subscribes to events as they become durable. A receiver that lags misses some, and gets their number.
@@ -209,7 +256,8 @@ impl Journal {
     /// # Errors
     /// [`ReadError`], if the journal cannot be read.
     pub async fn recall(&self) -> Result<Recovered, ReadError> {
-        self.pool.read(Reader::recall).await
+        let recovered = self.pool.read(Reader::recall).await?;
+        Ok(Recovered { unknown_past: self.unknown_past.clone(), ..recovered })
     }
 
     /// See [`Reader::statistics`]. One request at a time is computed, since it can read a million records.
@@ -283,8 +331,9 @@ impl Journal {
 
 /// Number of waiting records below which this record is accepted.
 fn places(record: &Record, places: usize) -> usize {
-    match record {
-        Record::Event(Event { detail: Detail::Command(CommandEvent::Done(_)), .. }, _) => places + ENDS,
+    let Record::Event(Event { detail, .. }, _) = record else { return places };
+    match detail {
+        Detail::Command(CommandEvent::Done(_)) | Detail::FastStop(_) | Detail::Acknowledge(_) => places + ENDS,
         _ => places,
     }
 }

@@ -10,10 +10,11 @@ use rusqlite::{Connection, OptionalExtension, params};
 
 use super::Retention;
 use super::chain::{Chain, Tip};
+use super::kept;
 use super::row::{Row, milliseconds, now};
 use super::schema::SPAN_BITS;
-use super::store::{Store, anchor, insert};
-use crate::gripper::model::{Detail, Event, GatewayEvent};
+use super::store::{Store, anchor, insert, remove_spans};
+use crate::model::{Detail, Event, GatewayEvent};
 
 /// Records removed per step, or twice those written since the last step if that is more. A step takes some
 /// milliseconds, during which a command may have to wait.
@@ -43,16 +44,32 @@ pub(super) struct Pruning {
     due: Instant,
     /// Whether a journal that was too large is being shrunk.
     shrinking: bool,
-    /// Last event and last grip record of the removal in progress.
-    removal: Option<[Tip; 2]>,
+    /// Whether the wall clock is doubtful, so that no record is removed for its age.
+    pub(super) is_clock_doubtful: bool,
+    /// Removal in progress.
+    removal: Option<Removal>,
     /// Records written since the last step, and bytes since the last check.
     rows: i64,
     bytes: u64,
 }
 
+/// A removal of old records.
+#[derive(Debug)]
+struct Removal {
+    /// Last event and last grip record to remove.
+    last: [Tip; 2],
+    /// Limit of the events that stay.
+    kept: kept::KeptLimit,
+}
+
 impl Pruning {
     pub(super) fn new(retention: Retention, now: Instant) -> Self {
-        Self { retention, due: now, shrinking: false, removal: None, rows: 0, bytes: 0 }
+        Self { retention, due: now, shrinking: false, is_clock_doubtful: false, removal: None, rows: 0, bytes: 0 }
+    }
+
+    /// Whether the next step begins with a look at all records, and not within a removal.
+    pub(super) fn is_looking(&self) -> bool {
+        self.removal.is_none()
     }
 
     /// Returns the time of the next step.
@@ -69,35 +86,58 @@ impl Pruning {
         }
     }
 
-    /// Removes some records of the current removal. If none is in progress, checks for records beyond the limits, and
-    /// returns the event that attests their removal.
+    /// Removes some records of the current removal, and returns the event that attests what stays once it has ended. If
+    /// none is in progress, checks for records beyond the limits, and returns the event that attests their removal.
     pub(super) fn step(&mut self, store: &mut Store, end: Tip, at: Instant) -> rusqlite::Result<Option<Row>> {
+        self.step_at(store, end, at, now())
+    }
+
+    pub(super) fn step_at(
+        &mut self,
+        store: &mut Store,
+        end: Tip,
+        at: Instant,
+        wall: Timestamp,
+    ) -> rusqlite::Result<Option<Row>> {
         self.due = at + EVERY;
         let step = STEP.max(std::mem::take(&mut self.rows).saturating_mul(2));
         if let Some(removal) = self.removal.take() {
-            if remove(store, removal, step)? {
-                self.removal = Some(removal);
-            }
             self.due = at;
-            return Ok(None);
+            if remove(store, &removal, step)? {
+                self.removal = Some(removal);
+                return Ok(None);
+            }
+            let attestation = kept::attestation(&store.connection)?;
+            return attestation.map(|event| attest(store, event, end)).transpose();
         }
         self.bytes = 0;
-        let Some(removal) = self.look(&store.connection, now())? else { return Ok(None) };
-        let row = attest(store, removal, end)?;
+        let Some(removal) = self.look(&store.connection, wall)? else { return Ok(None) };
+        let row = attest(store, pruned(&removal), end)?;
         self.removal = Some(removal);
         self.due = at;
         Ok(Some(row))
     }
 
-    fn look(&mut self, connection: &Connection, now: Timestamp) -> rusqlite::Result<Option<[Tip; 2]>> {
-        if let Some(before) = self.retention.max_age.and_then(|age| now.checked_sub(age).ok()) {
+    /// Returns the event that attests what stays, if a removal is in progress.
+    pub(super) fn interrupted(&self, connection: &Connection) -> rusqlite::Result<Option<GatewayEvent>> {
+        if self.is_looking() { Ok(None) } else { kept::attestation(connection) }
+    }
+
+    fn look(&mut self, connection: &Connection, now: Timestamp) -> rusqlite::Result<Option<Removal>> {
+        let max_age = self.retention.max_age.filter(|_| !self.is_clock_doubtful);
+        if let Some(before) = max_age.and_then(|age| now.checked_sub(age).ok()) {
             let is_overdue = |at: i64| at < milliseconds(before - LEEWAY);
             for chain in Chain::ALL {
                 if oldest(connection, chain, now)?.is_some_and(is_overdue)
-                    && let Some(removal) = removal(connection, |chain| before_time(connection, chain, before, now))?
+                    && let Some(last) = removal(connection, |chain| before_time(connection, chain, before, now))?
                 {
-                    return Ok(Some(removal));
+                    return Ok(Some(Removal { last, kept: kept::KeptLimit::Age(milliseconds(before)) }));
                 }
+            }
+            // Events that a removal for the size has left get too old as well.
+            if kept::oldest(connection)?.is_some_and(is_overdue) {
+                let last = [anchor(connection, Chain::Events)?, anchor(connection, Chain::Grips)?];
+                return Ok(Some(Removal { last, kept: kept::KeptLimit::Age(milliseconds(before)) }));
             }
         }
         let Some(max) = self.retention.max_bytes else { return Ok(None) };
@@ -108,10 +148,11 @@ impl Pruning {
             return Ok(None);
         }
         let excess = (used - max / 100 * SHRINK_TO_PERCENT) as f64 / used as f64;
-        removal(connection, |chain| {
+        let last = removal(connection, |chain| {
             let (anchor, newest) = (anchor(connection, chain)?.seq, newest(connection, chain)?);
             Ok(anchor + (((newest - anchor) as f64 * excess) as i64).max(STEP))
-        })
+        })?;
+        Ok(last.map(|last| Removal { last, kept: kept::KeptLimit::Size(max) }))
     }
 }
 
@@ -156,7 +197,8 @@ fn oldest(connection: &Connection, chain: Chain, now: Timestamp) -> rusqlite::Re
     Ok(first_within(connection, chain, i64::MIN, now)?.map(|(_, at)| at))
 }
 
-/// Finds the first record with a time between `from` and `now`. Returns its sequence number and its time.
+/// Finds the first record with a time between `from` and `now`, without events that an earlier removal has left.
+/// Returns its sequence number and its time.
 fn first_within(
     connection: &Connection,
     chain: Chain,
@@ -165,11 +207,12 @@ fn first_within(
 ) -> rusqlite::Result<Option<(i64, i64)>> {
     let table = chain.name();
     let sql = format!(
-        "SELECT seq, at FROM {table} NOT INDEXED WHERE at BETWEEN ?1 AND ?2 AND seq >=
-             (SELECT min(span) << {SPAN_BITS} FROM spans WHERE chain = ?3 AND newest >= ?1 AND oldest <= ?2)
+        "SELECT seq, at FROM {table} NOT INDEXED WHERE at BETWEEN ?1 AND ?2 AND seq > ?4 AND seq >=
+             (SELECT min(span) << {SPAN_BITS} FROM spans
+              WHERE chain = ?3 AND newest >= ?1 AND oldest <= ?2 AND span >= ?4 >> {SPAN_BITS})
          ORDER BY seq LIMIT 1"
     );
-    let values = params![from, milliseconds(now), table];
+    let values = params![from, milliseconds(now), table, anchor(connection, chain)?.seq];
     connection.query_row(&sql, values, |row| Ok((row.get(0)?, row.get(1)?))).optional()
 }
 
@@ -179,14 +222,18 @@ fn used(connection: &Connection) -> rusqlite::Result<u64> {
     Ok((number("page_count")? - number("freelist_count")?) * number("page_size")?)
 }
 
-/// Writes the event that attests a removal, before the removal begins.
-fn attest(store: &mut Store, [events, grips]: [Tip; 2], end: Tip) -> rusqlite::Result<Row> {
-    let event = GatewayEvent::Pruned {
+/// Returns the event that attests a removal. It is written before the removal begins.
+fn pruned(removal: &Removal) -> GatewayEvent {
+    let [events, grips] = removal.last;
+    GatewayEvent::Pruned {
         up_to_seq: events.seq,
         hash: hex::encode(events.hash),
         grips_up_to_seq: grips.seq,
         grips_hash: hex::encode(grips.hash),
-    };
+    }
+}
+
+fn attest(store: &mut Store, event: GatewayEvent, end: Tip) -> rusqlite::Result<Row> {
     let row = Row::event(end, &Event::new(now(), None, Detail::Gateway(event)))
         .map_err(|error| rusqlite::Error::ToSqlConversionFailure(error.into()))?;
     let transaction = store.begin()?;
@@ -196,11 +243,12 @@ fn attest(store: &mut Store, [events, grips]: [Tip; 2], end: Tip) -> rusqlite::R
 }
 
 /// Removes one step of a removal; returns false once all is removed.
-fn remove(store: &mut Store, removal: [Tip; 2], step: i64) -> rusqlite::Result<bool> {
+fn remove(store: &mut Store, removal: &Removal, step: i64) -> rusqlite::Result<bool> {
     for chain in Chain::ALL {
-        let (before, to) = (anchor(&store.connection, chain)?.seq, removal[chain as usize].seq);
-        if before < to {
-            remove_of(store, chain, to.min(before + step))?;
+        let before = anchor(&store.connection, chain)?.seq;
+        let last = removal.last[chain as usize].seq;
+        if before < last {
+            remove_of(store, chain, last.min(before + step), removal.kept, step)?;
             // The removal counts even if the file does not shrink.
             if let Err(error) = give_back(&store.connection) {
                 tracing::warn!(failure = store.source.describe(&error), "journal file not shrunk");
@@ -208,19 +256,39 @@ fn remove(store: &mut Store, removal: [Tip; 2], step: i64) -> rusqlite::Result<b
             return Ok(true);
         }
     }
-    Ok(false)
+    // More of the events that earlier removals have left can be beyond the limit than the steps above have removed.
+    let transaction = store.begin()?;
+    let has_removed = kept::trim(&transaction, removal.kept, step)?;
+    transaction.commit()?;
+    Ok(has_removed)
 }
 
-fn remove_of(store: &mut Store, chain: Chain, last: i64) -> rusqlite::Result<()> {
+/// Removes a chain's records up to `last`. Events with a share of the file stay.
+fn remove_of(store: &mut Store, chain: Chain, last: i64, limit: kept::KeptLimit, step: i64) -> rusqlite::Result<()> {
     let transaction = store.begin()?;
-    let chain = chain.name();
-    let sql = format!("SELECT hash FROM {chain} WHERE seq = ?");
-    let hash: [u8; 32] = transaction.query_row(&sql, [last], |row| row.get(0))?;
-    transaction.execute(&format!("DELETE FROM {chain} WHERE seq <= ?"), [last])?;
-    let spans = "DELETE FROM spans WHERE chain = ? AND span < ?";
-    transaction.execute(spans, params![chain, (last + 1) >> SPAN_BITS])?;
+    let table = chain.name();
+    let hash: [u8; 32] =
+        transaction.query_row(&format!("SELECT hash FROM {table} WHERE seq = ?"), [last], |row| row.get(0))?;
+    let first = anchor(&transaction, chain)?.seq + 1;
+    match chain {
+        Chain::Events => {
+            if matches!(limit, kept::KeptLimit::Size(_)) {
+                kept::enter(&transaction, last)?;
+            }
+            let others = "DELETE FROM events WHERE seq BETWEEN ? AND ? AND NOT EXISTS
+                 (SELECT 1 FROM kept WHERE share IN ('fast_stops', 'access') AND kept.seq = events.seq)";
+            transaction.execute(others, [first, last])?;
+        }
+        Chain::Grips => {
+            transaction.execute("DELETE FROM grips WHERE seq <= ?", [last])?;
+        }
+    }
+    remove_spans(&transaction, chain, first, last)?;
     let sql = "INSERT OR REPLACE INTO anchors(chain, seq, hash) VALUES (?, ?, ?)";
-    transaction.execute(sql, params![chain, last, hash])?;
+    transaction.execute(sql, params![table, last, hash])?;
+    if chain == Chain::Events {
+        kept::trim(&transaction, limit, step)?;
+    }
     transaction.commit()
 }
 

@@ -7,11 +7,12 @@ use std::sync::Arc;
 use jiff::Timestamp;
 use rusqlite::Connection;
 use rusqlite::types::Value;
+use strum::{EnumMessage, VariantArray};
 
 use super::chain::Chain;
 use super::row::{EventKind, Stored, milliseconds, word};
 use super::runs::{Run, runs};
-use crate::gripper::model::{CommandId, Kind, Name, Outcome, PartId};
+use crate::model::{CommandId, Kind, Name, Outcome, PartId};
 
 pub type EventQuery = Query<EventKind>;
 
@@ -75,15 +76,26 @@ impl Filter<EventKind> {
     }
 }
 
-/// Order of records by sequence number:
-///
-/// - `newest`: newest first
-/// - `oldest`: oldest first
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize, utoipa::ToSchema)]
+/// Order of records by sequence number.
+#[derive(
+    Debug,
+    Clone,
+    Copy,
+    PartialEq,
+    Eq,
+    Default,
+    serde::Serialize,
+    serde::Deserialize,
+    utoipa::ToSchema,
+    EnumMessage,
+    VariantArray,
+)]
 #[serde(rename_all = "lowercase")]
 pub enum Order {
+    /// Newest first.
     #[default]
     Newest,
+    /// Oldest first.
     Oldest,
 }
 
@@ -122,6 +134,10 @@ impl Cursor {
     #[must_use]
     pub fn after(seq: i64) -> Self {
         Self(seq)
+    }
+
+    pub(super) fn seq(self) -> i64 {
+        self.0
     }
 }
 

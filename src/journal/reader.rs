@@ -9,12 +9,15 @@ use tokio::sync::Semaphore;
 use super::chain::Chain;
 use super::commands::command_of;
 use super::curve;
-use super::query::{EventQuery, GripQuery, Page, grip, page};
+use super::head::Head;
+use super::kept;
+use super::query::{Cursor, EventQuery, GripQuery, Page, grip, page};
 use super::recovery::{self, Recovered};
 use super::schema::{Content, content};
 use super::source::{JournalLocation, ReadError, Source, no_file};
 use super::statistics::{GripStatistics, SHARED_FROM, StatisticsQuery, statistics};
-use crate::gripper::model::{CommandId, CommandReport, Name, Sample};
+use super::store::anchor;
+use crate::model::{CommandId, CommandReport, Name, Sample};
 
 /// Maximum number of concurrent reads. More than there are cores would only wait longer.
 const READERS: usize = 4;
@@ -79,17 +82,21 @@ impl Reader {
         self.with(|connection| page(connection, query, until))
     }
 
-    /// Reads a page of events up to `until`, and the sequence number of the oldest event, if any, at the same moment.
+    /// Reads a page of events from the oldest on, up to `until`, and the number of events that were removed between the
+    /// cursor and the end of the page.
     ///
     /// # Errors
     /// [`ReadError`], if the journal cannot be read.
-    pub(super) fn events_and_first(&self, query: &EventQuery, until: i64) -> Result<(Option<i64>, Page), ReadError> {
+    pub(super) fn events_and_removed(&self, query: &EventQuery, until: i64) -> Result<(i64, Page), ReadError> {
         self.with(|connection| {
             // Both reads see the journal as it is now, even if events are removed meanwhile.
             let now = connection.unchecked_transaction()?;
-            let sql = format!("SELECT min(seq) FROM {}", Chain::Events.name());
-            let first = now.prepare_cached(&sql)?.query_row([], |row| row.get(0))?;
-            Ok((first, page(&now, query, until)?))
+            let page = page(&now, query, until)?;
+            let after = query.cursor.map_or(0, Cursor::seq);
+            let end = page.next_cursor.as_ref().and_then(|cursor| cursor.parse().ok()).map_or(until, Cursor::seq);
+            let end = end.min(anchor(&now, Chain::Events)?.seq);
+            let removed = if end > after { end - after - kept::count(&now, after, end)? } else { 0 };
+            Ok((removed, page))
         })
     }
 
@@ -148,6 +155,14 @@ impl Reader {
     /// Returns the data of this run and of earlier ones.
     pub(super) fn recall(&self) -> Result<Recovered, ReadError> {
         self.with(recovery::recall)
+    }
+
+    /// Returns the newest event and grip record, with their hashes.
+    ///
+    /// # Errors
+    /// [`ReadError`], if the journal cannot be read.
+    pub fn head(&self) -> Result<Head, ReadError> {
+        self.with(Head::read)
     }
 
     /// Returns the sequence number of the newest event; 0 in an empty journal.

@@ -1,6 +1,7 @@
 //! Recovery after a restart: persisted values, recent requests, and records that complete a run without an orderly end.
 
 use std::collections::{BTreeMap, HashMap};
+use std::sync::Arc;
 
 use jiff::SignedDuration;
 use rusqlite::{Connection, OptionalExtension};
@@ -9,13 +10,13 @@ use super::chain::memory_hash;
 use super::commands::CommandBody;
 use super::identity::NO_GRIPPER;
 use super::row::{milliseconds, now};
-use crate::gripper::model::{
+use crate::gripper::recorder::{PastRequest, UnknownPast};
+use crate::model::{
     CommandEvent, CommandId, CommandReport, Detail, Done, Event, GatewayEvent, Outcome, PersistedState, Phase,
 };
-use crate::gripper::recorder::PastRequest;
 
 /// Time for which a request id stands for its command.
-const REPLAYED_FOR: SignedDuration = SignedDuration::from_mins(10);
+pub(super) const REPLAYED_FOR: SignedDuration = SignedDuration::from_mins(10);
 
 /// Maximum number of recovered requests, the newest: more than ten minutes at 100 a second.
 const MAX_REQUESTS: usize = 65_536;
@@ -36,6 +37,8 @@ pub struct Recovered {
     /// Requests with an id from the last ten minutes, in the order of their admission. Refused ones are left out,
     /// because they bind nothing.
     pub requests: Vec<PastRequest>,
+    /// The time without records, if the journal was restored.
+    pub unknown_past: Option<Arc<UnknownPast>>,
 }
 
 /// Reads the data of earlier runs, and returns the events that complete the last one.
@@ -52,7 +55,7 @@ pub(super) fn recover(connection: &Connection) -> rusqlite::Result<(Recovered, V
     for request in requests.iter_mut().filter(|request| ids.contains(&request.command.id)) {
         request.command = unknown_command(request.command.clone());
     }
-    Ok((Recovered { memory, unclean, running: ids, requests }, events))
+    Ok((Recovered { memory, unclean, running: ids, requests, unknown_past: None }, events))
 }
 
 /// Reads the data of this run and of earlier ones, for grippers that are added while the gateway runs.
@@ -138,7 +141,7 @@ fn first_recent(connection: &Connection) -> rusqlite::Result<i64> {
     let mut statement = connection.prepare("SELECT seq, at FROM events ORDER BY seq DESC")?;
     let mut rows = statement.query([])?;
     let (mut first, mut earliest, mut age_ms) = (i64::MAX, milliseconds(now()), 0);
-    // Where the clock was set back, with the age there.
+    // The time at which the clock was set back, with the age there.
     let mut set_back = None;
     while let Some(row) = rows.next()? {
         let at: i64 = row.get(1)?;

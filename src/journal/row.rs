@@ -4,38 +4,38 @@ use std::sync::Arc;
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
+use strum::{EnumMessage, VariantArray};
 use utoipa::ToSchema;
 
 use super::chain::{Chain, Tip};
 use super::curve;
-use crate::gripper::model::{CommandId, Detail, DeviceEvent, Event, GripRecord, Name, Outcome, PartId};
+use crate::model::{CommandId, Detail, DeviceEvent, Event, GripRecord, Name, Outcome, PartId};
 
-/// Kind of an event:
-///
-/// - `command`: a command was admitted or ended
-/// - `fast_stop`: a FAST STOP was latched or confirmed
-/// - `acknowledge`: a FAST STOP was acknowledged, or the acknowledgement failed
-/// - `lease`: a lease was requested, taken, handed over, released or lost
-/// - `link`: the connection state of the device link changed
-/// - `device`: the device restarted, was replaced, reported a fault, lost a part or moved by itself
-/// - `settings`: a client changed a setting, or the gateway restored one
-/// - `refused`: a request was refused
-/// - `gateway`: the gateway started or ended, or its journal lost or removed records
-/// - `alarm`: an alarm was raised, ended or was acknowledged
-/// - `recipe`: a recipe was set or removed
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
+/// Kind of an event.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema, EnumMessage, VariantArray)]
 #[serde(rename_all = "snake_case")]
 pub enum EventKind {
+    /// A command was admitted or ended.
     Command,
+    /// A FAST STOP was latched or confirmed.
     FastStop,
+    /// A FAST STOP was acknowledged, or the acknowledgement failed.
     Acknowledge,
+    /// A lease was requested, taken, handed over, released or lost.
     Lease,
+    /// The connection state of the device link changed.
     Link,
+    /// The device restarted, was replaced, reported a fault, lost a part or moved by itself.
     Device,
+    /// A client changed a setting, or the gateway restored one.
     Settings,
+    /// A request was refused.
     Refused,
+    /// The gateway started or ended, or its journal lost or removed records.
     Gateway,
+    /// An alarm was raised, ended or was acknowledged.
     Alarm,
+    /// A recipe was set or removed.
     Recipe,
 }
 

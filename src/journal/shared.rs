@@ -10,8 +10,8 @@ use super::rates::Rates;
 use super::row::{GripUpdate, Stored};
 use super::source::JournalLocation;
 use super::store::PersistedValues;
-use crate::gripper::model::PersistedState;
 use crate::gripper::recorder::JournalHealth;
+use crate::model::PersistedState;
 
 /// Events by which a follower can lag before it reads them from the file.
 const BROADCAST: usize = 1024;
@@ -106,6 +106,18 @@ impl Shared {
     /// Reports damage of earlier records. New ones are still written.
     pub(super) fn set_damage(&self, damage: String) {
         self.health.send_modify(|health| health.damage = Some(damage));
+    }
+
+    pub(super) fn set_restored(&self, cause: Option<String>) {
+        self.health.send_modify(|health| health.restored = cause);
+    }
+
+    pub(super) fn set_clock(&self, cause: Option<String>) {
+        self.health.send_if_modified(|health| {
+            let changed = health.clock != cause;
+            health.clock = cause;
+            changed
+        });
     }
 
     /// Counts one more waiting record; returns false if `places` records wait already.

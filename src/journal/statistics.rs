@@ -12,7 +12,7 @@ use strum::VariantArray as _;
 
 use super::row::milliseconds;
 use super::source::Source;
-use crate::gripper::model::{Kind, Name, Outcome, PartId};
+use crate::model::{Kind, Name, Outcome, PartId};
 
 /// SQL that creates the index. Files of earlier versions get it when they are opened for writing.
 pub(super) const INDEX: &str = "

@@ -14,8 +14,8 @@ use super::presence::FilePresence;
 use super::row::{EventKind, Row, word};
 use super::schema::{self, APPLICATION_ID, Content, SPAN_BITS, VERSION, content};
 use super::source::{BUSY_TIMEOUT, JournalLocation, Source, no_file};
-use super::statistics;
-use crate::gripper::model::{Name, PersistedKey};
+use super::{head, kept, statistics};
+use crate::model::{Name, PersistedKey};
 
 /// Size limit of the write-ahead log in bytes, while no reader needs more of it.
 const LOG_BYTES: u64 = 16 << 20;
@@ -92,9 +92,13 @@ impl Store {
         let mut connection = source.writing().map_err(unusable)?;
         match content(&connection).map_err(unusable)? {
             Content::Journal => {
-                // Files of version 0.1.0 lack this index. Only statistics need it, so a full disk must not prevent the start.
+                // Files of version 0.1.0 lack these. Only statistics and removals need them, so a full disk must not
+                // prevent the start.
                 if let Err(error) = connection.execute_batch(statistics::INDEX) {
                     tracing::warn!(%error, "index for statistics not created: statistics are unavailable");
+                }
+                if let Err(error) = connection.execute_batch(kept::TABLE) {
+                    tracing::warn!(%error, "table of kept events not created: no record is removed");
                 }
             }
             Content::Nothing => {
@@ -140,12 +144,7 @@ impl Store {
     }
 
     pub(super) fn end(&self, chain: Chain) -> rusqlite::Result<Tip> {
-        let newest = format!("SELECT seq, hash FROM {} ORDER BY seq DESC LIMIT 1", chain.name());
-        let tip = |row: &rusqlite::Row<'_>| Ok(Tip { seq: row.get(0)?, hash: row.get(1)? });
-        match self.connection.query_row(&newest, [], tip).optional()? {
-            Some(end) => Ok(end),
-            None => anchor(&self.connection, chain),
-        }
+        head::end(&self.connection, chain)
     }
 
     /// Returns the ends of the chains of events and grip records.
@@ -188,11 +187,27 @@ impl Store {
     }
 }
 
+/// Reads a sequence number and a hash.
+pub(super) fn tip(row: &rusqlite::Row<'_>) -> rusqlite::Result<Tip> {
+    Ok(Tip { seq: row.get(0)?, hash: row.get(1)? })
+}
+
 /// Returns the last removed record of a chain; the chain's beginning if none was removed.
 pub(super) fn anchor(connection: &Connection, chain: Chain) -> rusqlite::Result<Tip> {
-    let tip = |row: &rusqlite::Row<'_>| Ok(Tip { seq: row.get(0)?, hash: row.get(1)? });
     let anchor = connection.query_row("SELECT seq, hash FROM anchors WHERE chain = ?", [chain.name()], tip);
     Ok(anchor.optional()?.unwrap_or_default())
+}
+
+/// Removes the spans without records among those of removed records, from `first` to `last`.
+pub(super) fn remove_spans(connection: &Connection, chain: Chain, first: i64, last: i64) -> rusqlite::Result<()> {
+    let table = chain.name();
+    let sql = format!(
+        "DELETE FROM spans WHERE chain = '{table}' AND span BETWEEN ?1 AND ?2 AND NOT EXISTS
+             (SELECT 1 FROM {table} WHERE seq BETWEEN span << {SPAN_BITS} AND (span + 1 << {SPAN_BITS}) - 1)"
+    );
+    // Further records can follow in the last span.
+    let last_span = ((last + 1) >> SPAN_BITS) - 1;
+    connection.execute(&sql, [first >> SPAN_BITS, last_span]).map(drop)
 }
 
 pub(super) fn insert(connection: &Connection, row: &Row) -> rusqlite::Result<()> {
@@ -274,7 +289,7 @@ pub fn is_in_use(path: &Path) -> Option<bool> {
 }
 
 /// Resolves all links to the file, because SQLite writes to their target. The file need not exist yet.
-fn real(path: &Path) -> io::Result<PathBuf> {
+pub(super) fn real(path: &Path) -> io::Result<PathBuf> {
     let mut path = path.to_owned();
     for _ in 0..MAX_LINKS {
         let directory = path.parent().filter(|directory| !directory.as_os_str().is_empty());

@@ -9,15 +9,19 @@ use tokio::sync::oneshot;
 
 use super::chain::{Chain, Tip};
 use super::check::check_newest;
+use super::clock::{ClockCheck, TimeServer};
+use super::head::{Head, HeadFile};
+use super::kept;
 use super::presence::CHECK_EVERY;
 use super::prune::Pruning;
 use super::query::grip;
-use super::row::{GripUpdate, Row, Stored, now};
+use super::restored;
+use super::row::{self, GripUpdate, Row, Stored};
 use super::shared::{Senders, Shared};
 use super::store::{PersistedValues, Store};
 use super::{Retention, places};
-use crate::gripper::model::{CommandId, Detail, Event, GatewayEvent, GripRecord};
 use crate::gripper::recorder::Record;
+use crate::model::{CommandId, Detail, Event, GatewayEvent, GripRecord};
 
 /// Maximum number of records per transaction: some milliseconds of work, for which the first record has to wait.
 const MAX_BATCH: usize = 1024;
@@ -30,6 +34,9 @@ const RETRY: Duration = Duration::from_secs(1);
 
 /// Time between two attempts to empty the write-ahead log.
 const EMPTY_LOG_EVERY: Duration = Duration::from_secs(1);
+
+/// Time between two events with the head.
+const HEAD_EVERY: Duration = Duration::from_hours(1);
 
 /// Time for which an orderly end retries failed writes.
 const CLOSE_WITHIN: Duration = Duration::from_secs(3);
@@ -44,6 +51,10 @@ pub(super) enum WriterInput {
     End {
         orderly: bool,
     },
+    /// A person knows of the restored journal.
+    ConfirmRestored,
+    /// A person trusts the wall clock.
+    ConfirmClock,
     /// Limits the file's size, to simulate a full disk.
     #[cfg(test)]
     MaxPages(i64),
@@ -102,17 +113,35 @@ pub(super) struct JournalWriter {
     /// Lost records that events have reported.
     lost_reported: u64,
     pruning: Pruning,
+    clock: ClockCheck,
+    time_server: TimeServer,
+    /// File of the head; `None` for a journal in memory.
+    head: Option<HeadFile>,
+    /// Head as it was last written.
+    written: Head,
+    /// Time of the next event with the head, and the newest event at the last one.
+    head_due: Instant,
+    head_seq: i64,
 }
 
 impl JournalWriter {
     /// Writes the events that complete the last run. If the disk fails, they wait for the next attempt.
-    pub(super) fn new(store: Store, retention: Retention, last_run: Vec<Event>) -> rusqlite::Result<Self> {
+    pub(super) fn new(
+        store: Store,
+        head: Option<HeadFile>,
+        retention: Retention,
+        last_run: Vec<Event>,
+    ) -> rusqlite::Result<Self> {
         let ends = store.ends()?;
-        let pruning = Pruning::new(retention, Instant::now());
+        let started = Instant::now();
+        let pruning = Pruning::new(retention, started);
+        let clock = ClockCheck::new(&store.connection, started)?;
         let (shared, senders) = Shared::new(ends[Chain::Events as usize].seq);
         let (shared, mut batch) = (Arc::new(shared), Batch::default());
         check_newest(&store.source.place, &store.connection, &shared);
         batch.records.extend(last_run.into_iter().map(Placed::event));
+        let kept = kept::unattested(&store.connection)?;
+        batch.records.extend(kept.map(|kept| Placed::event(Event::new(row::now(), None, Detail::Gateway(kept)))));
         let mut writer = Self {
             store,
             shared,
@@ -124,9 +153,20 @@ impl JournalWriter {
             empty_log_at: None,
             lost_reported: 0,
             pruning,
+            clock,
+            time_server: TimeServer::default(),
+            head,
+            written: Head::new(ends),
+            head_due: started + HEAD_EVERY,
+            head_seq: ends[Chain::Events as usize].seq,
         };
         writer.commit(Instant::now());
         Ok(writer)
+    }
+
+    /// Returns the head, as far as it is known.
+    pub(super) fn head(&self) -> Head {
+        Head::new(self.ends.unwrap_or_default())
     }
 
     pub(super) fn shared(&self) -> Arc<Shared> {
@@ -153,6 +193,8 @@ impl JournalWriter {
                         self.take(*record);
                     }
                     WriterInput::PersistedValues => {}
+                    WriterInput::ConfirmRestored => self.confirm_restored(),
+                    WriterInput::ConfirmClock => self.confirm_clock(),
                     WriterInput::End { orderly } => return self.end(orderly),
                     #[cfg(test)]
                     WriterInput::MaxPages(pages) => self.store.limit_pages(pages),
@@ -187,7 +229,15 @@ impl JournalWriter {
 
     /// Takes the ends of the chains. They stay unknown unless the caller puts them back after a successful write.
     fn take_ends(&mut self) -> rusqlite::Result<[Tip; 2]> {
-        self.ends.take().map_or_else(|| self.store.ends(), Ok)
+        if let Some(ends) = self.ends.take() {
+            return Ok(ends);
+        }
+        let differences = self.written.differences(&self.store.connection, true)?;
+        // The file keeps the last head, so that the next start and a verification notice the difference.
+        if !differences.is_empty() && self.head.take().is_some() {
+            tracing::error!(differences = differences.join("; "), "journal lacks records that were written");
+        }
+        self.store.ends()
     }
 
     /// Gives the batch's records their places, and writes the batch.
@@ -222,6 +272,7 @@ impl JournalWriter {
         }
         // While the disk fails, losses add up to one number, which is recorded once it works again.
         if self.retry_at.is_none() {
+            self.record_head(now);
             self.record_lost();
             self.take_aggregates(now, false);
         }
@@ -238,6 +289,7 @@ impl JournalWriter {
             Err(error) => return self.fail(self.store.source.describe(&error), now),
         };
         let kept = self.store.check_written();
+        self.write_head();
         self.pruning.wrote(&rows, now);
         let batch = std::mem::take(&mut self.batch);
         let records = rows.len();
@@ -299,6 +351,38 @@ impl JournalWriter {
         self.batch.records.extend(self.shared.rates.due(now, all).into_iter().map(Placed::event));
     }
 
+    /// Adds the event with the head in front of the batch, if one is due and there are newer records.
+    fn record_head(&mut self, now: Instant) {
+        let Some(ends) = self.ends.filter(|_| now >= self.head_due) else { return };
+        self.head_due = now + HEAD_EVERY;
+        let head = Head::new(ends);
+        if head.newest_event() > self.head_seq {
+            let event = Event::new(row::now(), None, Detail::Gateway(head.event()));
+            self.batch.records.insert(0, Placed::event(event));
+            self.head_seq = head.newest_event() + 1;
+        }
+    }
+
+    fn write_head(&mut self) {
+        let Some(ends) = self.ends else { return };
+        self.written = Head::new(ends);
+        if let Some(file) = &mut self.head {
+            file.write(self.written);
+        }
+    }
+
+    fn confirm_restored(&mut self) {
+        if let Err(error) = restored::confirm(&self.store.connection) {
+            tracing::warn!(failure = self.store.source.describe(&error), "confirmation not stored");
+        }
+    }
+
+    fn confirm_clock(&mut self) {
+        self.clock.trust(&self.store.connection, row::now(), Instant::now());
+        self.shared.set_clock(None);
+        self.pruning.is_clock_doubtful = false;
+    }
+
     fn record_lost(&mut self) {
         let lost = self.shared.health.borrow().lost;
         if lost > self.lost_reported {
@@ -308,7 +392,7 @@ impl JournalWriter {
     }
 
     fn own(&mut self, event: GatewayEvent) {
-        self.batch.records.push(Placed::event(Event::new(now(), None, Detail::Gateway(event))));
+        self.batch.records.push(Placed::event(Event::new(row::now(), None, Detail::Gateway(event))));
     }
 
     fn prune(&mut self, now: Instant) {
@@ -357,6 +441,12 @@ impl JournalWriter {
             // The next commit reports the fault.
             return Ok(None);
         }
+        if self.pruning.is_looking() {
+            let wall = row::now();
+            self.pruning.is_clock_doubtful =
+                self.clock.look(&self.store.connection, wall, now, || self.time_server.ask());
+            self.shared.set_clock(self.clock.doubt());
+        }
         let mut ends = self.take_ends()?;
         let end = ends[Chain::Events as usize];
         let row = self.shared.while_watched(|| self.pruning.step(&mut self.store, end, now))?;
@@ -364,6 +454,10 @@ impl JournalWriter {
             ends[Chain::Events as usize] = row.tip;
         }
         self.ends = Some(ends);
+        self.write_head();
+        if let Some(head) = self.head.as_ref().filter(|_| row.is_some()) {
+            head.sync();
+        }
         // The next commit finds and reports a fault of the files again.
         let _ = self.store.check_written();
         Ok(row.and_then(|row| row.event))
@@ -373,6 +467,11 @@ impl JournalWriter {
         let until = Instant::now() + CLOSE_WITHIN;
         if orderly {
             self.take_aggregates(Instant::now(), true);
+            // A verification tolerates changes of kept events until they are attested.
+            match self.pruning.interrupted(&self.store.connection) {
+                Ok(event) => event.into_iter().for_each(|event| self.own(event)),
+                Err(error) => tracing::warn!(%error, "kept events not attested"),
+            }
             self.own(GatewayEvent::Ended);
         }
         loop {
@@ -397,21 +496,5 @@ impl Drop for JournalWriter {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::super::tests::Directory;
-    use super::*;
-
-    #[test]
-    fn slow_emptying_of_the_log_blocks_no_later_motion() {
-        let directory = Directory::new();
-        let store = Store::open(directory.place()).unwrap();
-        let mut writer = JournalWriter::new(store, Retention::default(), Vec::new()).unwrap();
-        let fill = "CREATE TABLE filling (bytes BLOB); INSERT INTO filling VALUES (zeroblob(20 * 1024 * 1024))";
-        writer.store.connection.execute_batch(fill).unwrap();
-        assert!(writer.store.log_is_large());
-        // The watch reports this while a checkpoint is slow.
-        writer.shared.set_failure(Some("the disk is slow".to_owned()));
-        writer.empty_log(Instant::now());
-        assert!(!writer.store.log_is_large() && !writer.shared.failing());
-    }
-}
+#[path = "writer_tests.rs"]
+mod tests;

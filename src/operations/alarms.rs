@@ -2,26 +2,44 @@
 
 use std::collections::BTreeSet;
 
-use http::Method as Verb;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::call::{Call, NoFields};
-use super::operation::{Operation, ready};
+use super::operation::operations;
 use super::problem::Problem;
 use super::reply::Json;
 use super::values::shortened;
 use crate::alarms::AlarmReport;
-use crate::gripper::model::{Alarm, AlarmId};
+use crate::model::{Alarm, AlarmId};
 
-pub const LIST: Operation = Operation::read("alarms", "/alarms", |call| ready(list(&call)));
-pub const ACKNOWLEDGE: Operation =
-    Operation::change("alarms.acknowledge", &Verb::POST, "/alarms/acknowledge", |call| ready(acknowledge(&call)));
+operations! {
+    /// List the alarms
+    ///
+    /// Lists the alarms of this gateway's grippers and of the gateway itself that are active, or that nobody has
+    /// acknowledged. All clients share them, and they survive a restart. `GET /events?kind=alarm` has their history.
+    LIST = GET "/alarms" as "alarms" {
+        run: list, id: "alarms", tag: "alarms", problems: ANY,
+        answer: "The alarms",
+    };
+
+    /// Acknowledge alarms
+    ///
+    /// Acknowledges the alarms with these ids: one, some, or all that the client has listed. An alarm that has ended is
+    /// not listed any more; an active one stays listed until it ends.
+    ///
+    /// This changes nothing at the device, and clears no FAST STOP: `POST /grippers/{gripper}/acknowledge` does, and
+    /// also acknowledges the alarm.
+    ACKNOWLEDGE = POST "/alarms/acknowledge" as "alarms.acknowledge" {
+        run: acknowledge, id: "acknowledge_alarms", tag: "alarms", problems: COMMAND,
+        answer: "The alarms are acknowledged",
+    };
+}
 
 /// Most alarms that one request acknowledges: all that can be listed.
 const MAX_IDS: usize = 1024;
 
-fn list(call: &Call) -> Result<Json<AlarmReport>, Problem> {
+fn list(call: &Call<NoFields>) -> Result<Json<AlarmReport>, Problem> {
     let NoFields {} = call.fields()?;
     Ok(Json(call.gateway.alarms.read().1))
 }
@@ -47,7 +65,7 @@ pub struct AlarmsAcknowledged {
     unknown: Vec<AlarmId>,
 }
 
-fn acknowledge(call: &Call) -> Result<Json<AlarmsAcknowledged>, Problem> {
+fn acknowledge(call: &Call<AcknowledgeAlarms>) -> Result<Json<AlarmsAcknowledged>, Problem> {
     let AcknowledgeAlarms { ids } = call.fields()?;
     if !(1..=MAX_IDS).contains(&ids.len()) {
         return Err(Problem::malformed("ids", format!("ids must have 1 to {MAX_IDS} ids")));

@@ -1,6 +1,7 @@
 //! A request for an operation: its caller, its parameters, and the gripper that they name.
 
 use std::collections::BTreeMap;
+use std::marker::PhantomData;
 use std::sync::Arc;
 
 use bytes::Bytes;
@@ -14,11 +15,11 @@ use super::gateway::Gateway;
 use super::json;
 use super::problem::Problem;
 use super::rights::require;
-use super::values::part_id;
+use super::values::{LeaseField, part_id};
 use crate::access::Right;
 use crate::gripper::handle::Using;
-use crate::gripper::model::{Client, CommandId, LeaseToken, Name, PartId};
 use crate::gripper::{Handle, Rejection};
+use crate::model::{Client, CommandId, LeaseToken, Name, PartId};
 use crate::recipes::ExpectedVersion;
 use crate::webhooks::Webhook;
 use crate::wsg::{self, Finger};
@@ -52,12 +53,13 @@ impl Default for Fields {
     }
 }
 
-/// A request for an operation.
+/// A request for an operation whose parameters besides those in the path are a `P`.
 #[derive(Debug)]
-pub struct Call {
+pub struct Call<P = NoFields> {
     pub gateway: Arc<Gateway>,
     pub caller: Caller,
     pub params: Params,
+    fields: PhantomData<fn() -> P>,
 }
 
 /// Parameters of an operation that takes only a lease token.
@@ -65,13 +67,11 @@ pub struct Call {
 #[serde(deny_unknown_fields)]
 #[schema(example = json!({}))]
 pub struct Leased {
-    /// Token of the current lease, if the gripper is leased. At most 64 bytes; empty means none.
-    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
-    pub lease: Option<String>,
+    pub lease: Option<LeaseField>,
 }
 
 /// Parameters of an operation without any.
-#[derive(Debug, Deserialize)]
+#[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NoFields {}
 
@@ -86,9 +86,23 @@ impl Params {
     }
 }
 
-impl Call {
+impl<P> Call<P> {
+    pub(super) fn new(gateway: Arc<Gateway>, caller: Caller, params: Params) -> Self {
+        Self { gateway, caller, params, fields: PhantomData }
+    }
+
+    /// Returns the same request for a function with other parameters.
+    pub(super) fn with_fields<Q>(self) -> Call<Q> {
+        Call::new(self.gateway, self.caller, self.params)
+    }
+
     /// Returns the gripper, and uses the lease whose token came alongside the parameters.
     pub fn gripper(&self) -> Result<Gripper, Problem> {
+        self.gripper_despite_mistakes()?.with_lease(None)
+    }
+
+    /// Returns the gripper, and uses the lease whose token came alongside the parameters, if that is valid.
+    pub fn gripper_despite_mistakes(&self) -> Result<Gripper, Problem> {
         let text = self.params.part("gripper")?;
         let unknown = || self.gateway.no_gripper(text, self.caller.identity.is_ok());
         let name = text.parse().map_err(|_| unknown())?;
@@ -112,31 +126,12 @@ impl Call {
         require(self.caller.identity.as_ref().map_err(|unknown| *unknown)?, right, self.params.gripper().as_ref())
     }
 
-    /// Parses the parameters that the path does not name.
-    pub fn fields<P: DeserializeOwned>(&self) -> Result<P, Problem> {
-        match &self.params.fields {
-            Fields::Text(text) => json::parse(text),
-            Fields::Object(object) => json::of_object(object),
-        }
-    }
-
     /// Returns a text parameter, or `None` if the parameters cannot be parsed.
     pub fn lenient_text(&self, key: &str) -> Option<String> {
         match &self.params.fields {
             Fields::Text(text) => json::text_member(text, key),
             Fields::Object(object) => object.get(key)?.as_str().map(ToOwned::to_owned),
         }
-    }
-
-    /// Returns the gripper and the parameters. A lease token among them counts only after [`Gripper::with_lease`].
-    pub fn gripper_and_fields<P: DeserializeOwned>(&self) -> Result<(Gripper, P), Problem> {
-        Ok((self.gripper()?, self.fields()?))
-    }
-
-    /// Returns the gripper of a request with no parameters but a lease token.
-    pub fn leased(&self) -> Result<Gripper, Problem> {
-        let (gripper, Leased { lease }) = self.gripper_and_fields()?;
-        gripper.with_lease(lease.as_deref())
     }
 
     /// Returns the keys that came alongside the parameters.
@@ -160,9 +155,8 @@ impl Call {
     }
 
     /// Returns the webhook that the path names.
-    pub fn webhook(&self) -> Result<&Arc<Webhook>, Problem> {
-        let name = self.params.part("webhook")?;
-        let found = self.gateway.webhooks.iter().find(|webhook| webhook.name().as_str() == name);
+    pub fn webhook(&self) -> Result<Arc<Webhook>, Problem> {
+        let found = self.gateway.webhooks.find(self.params.part("webhook")?);
         found.ok_or_else(|| Problem::not_found("webhook with this name"))
     }
 
@@ -173,6 +167,29 @@ impl Call {
             "2" => Ok(Finger::Two),
             _ => Err(Problem::not_found("such finger: use 1 or 2").field("finger")),
         }
+    }
+}
+
+impl<P: DeserializeOwned> Call<P> {
+    /// Parses the parameters that the path does not name.
+    pub fn fields(&self) -> Result<P, Problem> {
+        match &self.params.fields {
+            Fields::Text(text) => json::parse(text),
+            Fields::Object(object) => json::of_object(object),
+        }
+    }
+
+    /// Returns the gripper and the parameters. A lease token among them counts only after [`Gripper::with_lease`].
+    pub fn gripper_and_fields(&self) -> Result<(Gripper, P), Problem> {
+        Ok((self.gripper()?, self.fields()?))
+    }
+}
+
+impl Call<Leased> {
+    /// Returns the gripper of a request with no parameters but a lease token.
+    pub fn leased(&self) -> Result<Gripper, Problem> {
+        let (gripper, Leased { lease }) = self.gripper_and_fields()?;
+        gripper.with_lease(lease.as_deref())
     }
 }
 
@@ -256,8 +273,8 @@ mod tests {
     use super::*;
     use crate::access::{Identity, Role};
     use crate::gripper::fake::{self, FakeScript, Fate};
-    use crate::gripper::model::{Client, Door};
-    use crate::operations::{Wait, call};
+    use crate::model::{Client, Door};
+    use crate::operations::{Code, Method, Wait, call, fast_stop};
 
     #[tokio::test(start_paused = true)]
     async fn open_request_keeps_the_lease_only_if_its_client_is_seen() {
@@ -266,7 +283,7 @@ mod tests {
         let ask = async |caller: &Caller, name: &str, fields: Value| -> Value {
             let mut params = json!({"gripper": "left"});
             params.as_object_mut().unwrap().extend(fields.as_object().unwrap().clone());
-            let reply = call(&gateway, caller.clone(), name, params).await.unwrap();
+            let reply = call(&gateway, caller.clone(), Method::named(name).unwrap(), params).await.unwrap();
             serde_json::from_str(reply.body.get()).unwrap()
         };
         let token = ask(&caller, "lease.take", json!({"ttl_ms": 60_000})).await["token"].clone();
@@ -295,7 +312,8 @@ mod tests {
         let gateway = Gateway::of([fake::gripper("left", script).0]);
         let caller = Caller::new(Client::new("test", Door::Http), Ok(Identity::anyone()));
         let ask = async |caller: &Caller, name: &str| -> Value {
-            let reply = call(&gateway, caller.clone(), name, json!({"gripper": "left"})).await.unwrap();
+            let method = Method::named(name).unwrap();
+            let reply = call(&gateway, caller.clone(), method, json!({"gripper": "left"})).await.unwrap();
             serde_json::from_str(reply.body.get()).unwrap()
         };
         let token = ask(&caller, "lease.take").await["token"].as_str().map(LeaseToken::from);
@@ -318,7 +336,11 @@ mod tests {
         let client = Client::new("test", Door::Http);
         let request_id = Err(Problem::malformed("Idempotency-Key", "invalid"));
         let caller = Caller { request_id, ..Caller::new(client, Ok(Identity::anyone())) };
-        assert!(call(&gateway, caller.clone(), "state", json!({"gripper": "left"})).await.is_err());
-        assert!(call(&gateway, caller, "fast-stop", json!({"gripper": "left"})).await.is_ok());
+        for name in ["state", "settings.acceleration", "finger-set"] {
+            let method = Method::named(name).unwrap();
+            let refused = call(&gateway, caller.clone(), method, json!({"gripper": "left"})).await;
+            assert_eq!(refused.unwrap_err().code(), Code::Malformed, "{name}");
+        }
+        assert!(call(&gateway, caller, (&fast_stop::ONE).into(), json!({"gripper": "left"})).await.is_ok());
     }
 }

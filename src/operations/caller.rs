@@ -9,7 +9,7 @@ use super::problem::Problem;
 use super::values::{integer, text};
 use crate::access::{Identity, Unauthorized};
 use crate::gripper::Ticket;
-use crate::gripper::model::{Client, ClientLabel, CommandReport, LeaseToken, RequestId};
+use crate::model::{Client, ClientLabel, CommandReport, LeaseToken, RequestId};
 
 /// Longest wait for a command's end, in ms. Proxies and clients give up after a minute.
 pub const MAX_WAIT_MS: u64 = 60_000;
@@ -179,7 +179,7 @@ fn one_of<T: PartialEq>(field: &str, header: Option<T>, body: Option<T>) -> Resu
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gripper::model::Door;
+    use crate::model::Door;
 
     fn limit(given: Option<&str>) -> Result<Duration, u16> {
         let wait = Wait::Ms { given: given.map(ToOwned::to_owned), limiter: None };

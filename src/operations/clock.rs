@@ -4,12 +4,21 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::call::{Call, NoFields};
-use super::operation::{Operation, ready};
+use super::operation::operations;
 use super::problem::Problem;
 use super::reply::Json;
 use crate::gripper::Now;
 
-pub const CLOCK: Operation = Operation::read("clock", "/clock", |call| ready(clock(&call)));
+operations! {
+    /// Get the gateway's clock
+    ///
+    /// Returns the times at which the gateway received the request and answered it. A client that notes its own times
+    /// of sending and receiving can estimate its offset to the gateway, as with NTP.
+    CLOCK = GET "/clock" as "clock" {
+        run: clock, id: "clock", tag: "gateway", problems: ANY,
+        answer: "The gateway's times",
+    };
+}
 
 /// Times of the gateway's clock, for an estimate of the client's offset to it (RFC 5905 section 8).
 #[derive(Debug, Serialize, ToSchema)]
@@ -25,7 +34,7 @@ pub struct GatewayClock {
     sent_at: String,
 }
 
-fn clock(call: &Call) -> Result<Json<GatewayClock>, Problem> {
+fn clock(call: &Call<NoFields>) -> Result<Json<GatewayClock>, Problem> {
     let received_at = Now::read().exact;
     let NoFields {} = call.fields()?;
     let sent_at = Now::read().exact;

@@ -3,26 +3,44 @@
 use serde::Deserialize;
 use tracing::Span;
 use tracing::field::display;
+use utoipa::ToSchema;
 
 use super::call::{Call, Gripper, Leased, NoFields};
 use super::caller::{CommandWait, DEFAULT_WAIT_MS, RequestKeys};
 use super::gateway::Gateway;
-use super::operation::{Operation, reply};
+use super::operation::operations;
 use super::problem::Problem;
-use super::reply::{Effect, Json, OperationReply};
+use super::reply::{Json, OrRunning};
 use super::values::TextOrNumber;
 use crate::gripper::Ticket;
-use crate::gripper::model::{Action, CommandId, CommandReport, LeaseToken, Phase, Submission, Urgency};
+use crate::model::{Action, CommandId, CommandReport, LeaseToken, Phase, Submission, Urgency};
 
-pub const GET: Operation =
-    Operation::read("command", "/grippers/{gripper}/commands/{command}", |call| reply(get(call))).waiting();
-pub const LATEST: Operation =
-    Operation::read("command.latest", "/grippers/{gripper}/commands/latest", |call| reply(latest(call)))
-        .waiting()
-        .queried(&["request_id"]);
-pub const CANCEL: Operation =
-    Operation::command("cancel", "/grippers/{gripper}/commands/{command}/cancel", |call| reply(cancel(call)))
-        .urgent(Urgency::Stop);
+operations! {
+    /// Get a command
+    ///
+    /// Waits up to `wait_ms` for the command to end, then returns it, ended or not.
+    GET = GET "/grippers/{gripper}/commands/{command}" as "command" {
+        run: get, id: "get_command", tag: "commands", problems: COMMAND,
+        answer: "The command",
+    }.waiting();
+
+    /// Get the newest command
+    ///
+    /// Returns the newest motion of the gripper. With `request_id`, returns the newest command of this client with that
+    /// id, which can also be a Stop. Waits up to `wait_ms` for the command to end.
+    LATEST = GET "/grippers/{gripper}/commands/latest" as "command.latest" {
+        run: latest, id: "get_latest_command", tag: "commands", problems: COMMAND,
+        answer: "The command",
+    }.waiting();
+
+    /// Cancel a command
+    ///
+    /// Stops the command if it is still running. A command that has ended is returned unchanged.
+    CANCEL = POST "/grippers/{gripper}/commands/{command}/cancel" as "cancel" {
+        run: cancel, id: "cancel_command", tag: "commands", problems: COMMAND,
+        answer: "The ended command, with its `outcome`",
+    }.command().urgent(Urgency::Stop);
+}
 
 /// Submits a command, and waits for its end. A refusal by the device during the wait becomes a problem, since the
 /// client still expects an answer.
@@ -47,18 +65,16 @@ pub(super) async fn submit(
 }
 
 /// Returns the reply of a command that may still run.
-pub(super) fn reply_with(command: &CommandReport, ticket: Ticket) -> Result<OperationReply, Problem> {
-    let effect = match command.phase {
-        Phase::Done => Effect::None,
-        Phase::Running => Effect::Running { gripper: command.gripper.clone(), ticket },
-    };
-    OperationReply::new(command, effect)
+pub(super) fn reply_with(command: &CommandReport, ticket: Ticket) -> Result<OrRunning<CommandReport>, Problem> {
+    match command.phase {
+        Phase::Done => OrRunning::ended(command),
+        Phase::Running => OrRunning::running(command, ticket),
+    }
 }
 
-async fn get(call: Call) -> Result<Json<CommandReport>, Problem> {
+async fn get(call: Call<NoFields>) -> Result<Json<CommandReport>, Problem> {
     let (gripper, id, wait) = (call.gripper()?, call.command_id()?, call.wait(0)?);
     let NoFields {} = call.fields()?;
-    let gripper = gripper.with_lease(None)?;
     find(&call.gateway, &gripper, id, &wait).await.map(Json)
 }
 
@@ -76,17 +92,18 @@ async fn find(
 }
 
 /// Parameters of a look-up without a command's id.
-#[derive(Debug, Deserialize)]
+#[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
-struct LatestFields {
+pub struct LatestFields {
+    /// Request id that this client sent with the command within the last 10 minutes.
+    #[schema(value_type = Option<String>, max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$", example = "k3-17")]
     request_id: Option<TextOrNumber>,
 }
 
-async fn latest(call: Call) -> Result<Json<CommandReport>, Problem> {
+async fn latest(call: Call<LatestFields>) -> Result<Json<CommandReport>, Problem> {
     let (gripper, wait) = (call.gripper()?, call.wait(0)?);
     let LatestFields { request_id } = call.fields()?;
     let keys = call.keys()?.or_fields(request_id.as_ref().map(ToString::to_string).as_deref(), None)?;
-    let gripper = gripper.with_lease(None)?;
     let Some(request_id) = keys.request_id else {
         let state = gripper.handle.state();
         let id = state.last_command_id.ok_or_else(|| Problem::not_found("motion of this gripper yet"))?;
@@ -101,7 +118,7 @@ async fn latest(call: Call) -> Result<Json<CommandReport>, Problem> {
     Ok(Json(wait.until_ended(&mut found.ok_or_else(unknown)?).await))
 }
 
-async fn cancel(call: Call) -> Result<OperationReply, Problem> {
+async fn cancel(call: Call<Leased>) -> Result<OrRunning<CommandReport>, Problem> {
     let (gripper, id, wait) = (call.gripper()?, call.command_id()?, call.wait(DEFAULT_WAIT_MS)?);
     let Leased { lease } = call.fields()?;
     let gripper = gripper.with_lease(lease.as_deref())?;

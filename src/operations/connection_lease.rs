@@ -1,7 +1,7 @@
 //! A lease that ends with its client's connection.
 
-use crate::gripper::model::{Lease, LeaseToken, LossCause, Name};
 use crate::gripper::{Handle, LeaseKeepAlive};
+use crate::model::{Lease, LeaseToken, LossCause, Name};
 
 /// An acquired lease, tracked by interfaces that notice when their client is gone. HTTP does not notice this, and drops
 /// the value.

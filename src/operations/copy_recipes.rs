@@ -2,7 +2,6 @@
 
 use std::collections::BTreeSet;
 
-use http::Method as Verb;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use serde_json::value::RawValue;
@@ -10,16 +9,25 @@ use utoipa::ToSchema;
 
 use super::call::Call;
 use super::fleet::no_answer;
-use super::operation::{Operation, reply};
+use super::operation::operations;
 use super::problem::Problem;
 use super::recipes::{MAX_RECIPES, SET_SEVERAL};
 use super::reply::Json;
 use super::values::{TextOrNumber, gripper_or_gateway, part_id};
 use crate::fleet::{NoAnswer, PeerRequest};
-use crate::gripper::model::{Code, Name, Recipe, Urgency};
+use crate::model::{Code, Name, Recipe, Urgency};
 
-pub const COPY: Operation =
-    Operation::change("fleet.copy-recipes", &Verb::POST, "/fleet/copy-recipes", |call| reply(copy(call)));
+operations! {
+    /// Copy recipes to another gateway
+    ///
+    /// Sets recipes of this gateway on another one: all that are named, or none if it refuses one, e.g. because a number
+    /// belongs to another part there. Its further recipes stay as they are. The two gateways do not follow each other's
+    /// later changes.
+    COPY = POST "/fleet/copy-recipes" as "fleet.copy-recipes" {
+        run: copy, id: "copy_recipes", tag: "recipes", problems: COPY,
+        answer: "The other gateway has the recipes",
+    };
+}
 
 /// Recipes to copy to another gateway.
 #[derive(Debug, Deserialize, ToSchema)]
@@ -44,7 +52,7 @@ pub struct RecipesCopied {
     copied: Vec<String>,
 }
 
-async fn copy(call: Call) -> Result<Json<RecipesCopied>, Problem> {
+async fn copy(call: Call<CopyRecipes>) -> Result<Json<RecipesCopied>, Problem> {
     let CopyRecipes { gateway, part_ids } = call.fields()?;
     let to = gripper_or_gateway("gateway", &gateway)?;
     if call.gateway.peers.is_own(&to) {
@@ -74,7 +82,7 @@ async fn copy(call: Call) -> Result<Json<RecipesCopied>, Problem> {
     }
 }
 
-fn chosen(call: &Call, part_ids: Option<Vec<TextOrNumber>>) -> Result<Vec<Recipe>, Problem> {
+fn chosen<P>(call: &Call<P>, part_ids: Option<Vec<TextOrNumber>>) -> Result<Vec<Recipe>, Problem> {
     let all = call.gateway.recipes.all().into_iter().map(|version| version.recipe.clone());
     let Some(given) = part_ids else {
         let all: Vec<_> = all.collect();

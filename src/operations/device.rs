@@ -1,11 +1,10 @@
 //! The manual's commands besides motions, settings and fingers: statistics, tare, Loop.
 
-use http::Method as Verb;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::call::{Call, Gripper, NoFields};
-use super::operation::{Operation, reply};
+use super::call::{Call, Gripper, Leased, NoFields};
+use super::operation::operations;
 use super::problem::Problem;
 use super::reply::Json;
 use super::values::bytes;
@@ -13,16 +12,37 @@ use crate::gripper::{Failure, Rejection};
 use crate::wsg::id::MAX_LOOP_BYTES;
 use crate::wsg::{self, Data, LoopData};
 
-pub const STATISTICS: Operation =
-    Operation::read("statistics", "/grippers/{gripper}/statistics", |call| reply(statistics(call)));
-pub const RESET_STATISTICS: Operation =
-    Operation::change("statistics.reset", &Verb::POST, "/grippers/{gripper}/statistics/reset", |call| {
-        reply(reset_statistics(call))
-    });
-pub const TARE: Operation =
-    Operation::change("tare", &Verb::POST, "/grippers/{gripper}/tare", |call| reply(tare(call)));
-pub const LOOP: Operation =
-    Operation::change("loop", &Verb::POST, "/grippers/{gripper}/loop", |call| reply(loop_back(call)));
+operations! {
+    /// Get the gripping statistics
+    STATISTICS = GET "/grippers/{gripper}/statistics" as "statistics" {
+        run: statistics, id: "get_statistics", tag: "device", problems: DEVICE,
+        answer: "The statistics",
+    };
+
+    /// Reset the gripping statistics
+    ///
+    /// Returns the statistics from before the reset.
+    RESET_STATISTICS = POST "/grippers/{gripper}/statistics/reset" as "statistics.reset" {
+        run: reset_statistics, id: "reset_statistics", tag: "device", problems: DEVICE,
+        answer: "The statistics before the reset",
+    };
+
+    /// Tare the force sensor
+    ///
+    /// Requires a force measurement finger. Refused while a part is held.
+    TARE = POST "/grippers/{gripper}/tare" as "tare" {
+        run: tare, id: "tare", tag: "device", problems: DEVICE,
+        answer: "The sensor was tared",
+    };
+
+    /// Test the link (Loop)
+    ///
+    /// The device echoes the bytes of the request. Use this request to check the link and measure its speed.
+    LOOP = POST "/grippers/{gripper}/loop" as "loop" {
+        run: loop_back, id: "loop_back", tag: "device", problems: DEVICE,
+        answer: "The echoed bytes",
+    };
+}
 
 /// A function that returns the value of one variant.
 macro_rules! only {
@@ -51,7 +71,7 @@ pub struct StatisticsAnswer {
     #[schema(max_length = 32)]
     gripper: String,
     /// Grips executed.
-    #[schema(minimum = 0, maximum = 4_294_967_295_u64)]
+    #[schema(format = Int64, minimum = 0, maximum = 4_294_967_295_i64)]
     total: u32,
     /// Grips that found no part.
     #[schema(minimum = 0, maximum = 65535)]
@@ -67,12 +87,12 @@ async fn count(gripper: Gripper, reset: bool) -> Result<Json<StatisticsAnswer>, 
     Ok(Json(StatisticsAnswer { gripper: gripper.name(), total, no_part, lost_part }))
 }
 
-async fn statistics(call: Call) -> Result<Json<StatisticsAnswer>, Problem> {
+async fn statistics(call: Call<NoFields>) -> Result<Json<StatisticsAnswer>, Problem> {
     let (gripper, NoFields {}) = call.gripper_and_fields()?;
     count(gripper, false).await
 }
 
-async fn reset_statistics(call: Call) -> Result<Json<StatisticsAnswer>, Problem> {
+async fn reset_statistics(call: Call<Leased>) -> Result<Json<StatisticsAnswer>, Problem> {
     count(call.leased()?, true).await
 }
 
@@ -87,7 +107,7 @@ pub struct Tared {
     tared: bool,
 }
 
-async fn tare(call: Call) -> Result<Json<Tared>, Problem> {
+async fn tare(call: Call<Leased>) -> Result<Json<Tared>, Problem> {
     let gripper = call.leased()?;
     gripper.exchange(wsg::Command::TareForceSensor).await?;
     Ok(Json(Tared { gripper: gripper.name(), tared: true }))
@@ -116,7 +136,7 @@ pub struct LoopAnswer {
     data: String,
 }
 
-async fn loop_back(call: Call) -> Result<Json<LoopAnswer>, Problem> {
+async fn loop_back(call: Call<Loop>) -> Result<Json<LoopAnswer>, Problem> {
     let (gripper, body): (_, Loop) = call.gripper_and_fields()?;
     let given = bytes("data", &body.data, MAX_LOOP_BYTES)?;
     let sent = given.len();

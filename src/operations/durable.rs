@@ -7,14 +7,14 @@ use tokio::time::timeout;
 
 use super::call::Call;
 use super::problem::Problem;
-use crate::gripper::model::Code;
 use crate::gripper::recorder::Recorder as _;
+use crate::model::Code;
 
 /// Time limit for a change to become durable. A disk that hangs would otherwise hold requests forever.
 const DURABLE_WITHIN: Duration = Duration::from_secs(2);
 
 /// Refuses a change that would not become durable. `unchanged` says what was not changed.
-pub(super) fn check_journal(call: &Call, unchanged: &str) -> Result<(), Problem> {
+pub(super) fn check_journal<P>(call: &Call<P>, unchanged: &str) -> Result<(), Problem> {
     let failure = call.gateway.journal.health().borrow().failure.clone();
     let down = |cause| Problem::new(Code::JournalDown, format!("journal unavailable ({cause}): {unchanged}"));
     failure.map_or(Ok(()), |cause| Err(down(cause)))

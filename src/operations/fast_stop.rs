@@ -2,7 +2,6 @@
 //!
 //! A FAST STOP request always stops, even with invalid parameters: they only give a reason.
 
-use http::Method as Verb;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use tracing::Span;
@@ -12,24 +11,45 @@ use utoipa::openapi::{RefOr, Schema};
 use utoipa::{PartialSchema, ToSchema};
 
 use super::call::Call;
-use super::operation::{Operation, reply};
+use super::operation::operations;
 use super::problem::Problem;
 use super::reply::Json;
+use super::values::LeaseField;
 use crate::access::Right;
 use crate::gripper::FastStop;
-use crate::gripper::model::{FastStopId, Reason, Urgency};
+use crate::model::{FastStopId, Reason, Urgency};
 
-pub const ONE: Operation =
-    Operation::change("fast-stop", &Verb::POST, "/grippers/{gripper}/fast-stop", |call| reply(one(call)))
-        .needs(Right::FastStop)
-        .urgent(Urgency::FastStop)
-        .despite_mistakes();
-pub const ALL: Operation = Operation::change("fast-stop", &Verb::POST, "/fast-stop", |call| reply(all(call)))
-    .needs(Right::FastStop)
-    .urgent(Urgency::FastStop)
-    .despite_mistakes();
-pub const ACKNOWLEDGE: Operation =
-    Operation::change("acknowledge", &Verb::POST, "/grippers/{gripper}/acknowledge", |call| reply(acknowledge(call)));
+operations! {
+    /// FAST STOP a gripper
+    ///
+    /// Stops the gripper as fast as the device can and blocks all motion until the FAST STOP is acknowledged by its id.
+    /// Needs no lease. The response comes once the device's flags confirm the FAST STOP, or after 250 ms, even when the
+    /// link is down. The gateway repeats it until the device confirms it. FAST STOP is not a safety function in the
+    /// sense of ISO 13850.
+    ONE = POST "/grippers/{gripper}/fast-stop" as "fast-stop" {
+        run: one, id: "fast_stop", tag: "fast stop", problems: FAST_STOP,
+        answer: "The FAST STOP is latched",
+    }.needs(Right::FastStop).urgent(Urgency::FastStop).despite_mistakes();
+
+    /// FAST STOP all grippers
+    ///
+    /// Sends a FAST STOP to all grippers of this gateway at once. FAST STOP is not a safety function in the sense of
+    /// ISO 13850.
+    ALL = POST "/fast-stop" as "fast-stop" {
+        run: all, id: "fast_stop_all", tag: "fast stop", problems: FAST_STOPS,
+        answer: "All grippers are latched",
+    }.needs(Right::FastStop).urgent(Urgency::FastStop).despite_mistakes();
+
+    /// Acknowledge a FAST STOP or a fault
+    ///
+    /// Clears the FAST STOP with this id if it is the newest one and the device has confirmed it. Nothing moves.
+    /// Without an id, acknowledges a fault of the device, such as the state `ERROR` or a fault flag, while no FAST STOP
+    /// is latched. A request without an id needs the lease token if the gripper is leased.
+    ACKNOWLEDGE = POST "/grippers/{gripper}/acknowledge" as "acknowledge" {
+        run: acknowledge, id: "acknowledge", tag: "fast stop", problems: DEVICE,
+        answer: "The FAST STOP is cleared, or the device accepted the acknowledgement",
+    }.with_some_field();
+}
 
 /// Body of a FAST STOP request: an optional reason. The FAST STOP happens whatever the body, even if the body is empty
 /// or invalid.
@@ -88,7 +108,7 @@ pub struct AllFastStopAnswer {
 }
 
 /// Returns the reason of a FAST STOP, or an empty one if the parameters cannot be parsed.
-pub(super) fn reason(call: &Call) -> Reason {
+pub(super) fn reason<P>(call: &Call<P>) -> Reason {
     Reason::truncated(&call.lenient_text("reason").unwrap_or_default())
 }
 
@@ -104,15 +124,15 @@ pub(super) fn by_confirmation(stops: Vec<(impl ToString, bool)>) -> (Vec<String>
     (names(confirmed), names(unconfirmed))
 }
 
-async fn one(call: Call) -> Result<Json<FastStopAnswer>, Problem> {
-    let gripper = call.gripper()?;
+async fn one(call: Call<FastStopBody>) -> Result<Json<FastStopAnswer>, Problem> {
+    let gripper = call.gripper_despite_mistakes()?;
     let client = gripper.client.clone();
     let FastStop { id, confirmed } = gripper.handle.fast_stop(FastStopId::generate(), client, reason(&call)).await;
     log(id);
     Ok(Json(FastStopAnswer { gripper: gripper.name(), fast_stop_id: id, fast_stop_confirmed: confirmed }))
 }
 
-async fn all(call: Call) -> Result<Json<AllFastStopAnswer>, Problem> {
+async fn all(call: Call<FastStopBody>) -> Result<Json<AllFastStopAnswer>, Problem> {
     let (id, stops) = call.gateway.grippers.fast_stop(&call.caller.client, &reason(&call)).await;
     log(id);
     let (confirmed, unconfirmed) = by_confirmation(stops);
@@ -135,8 +155,7 @@ pub struct Acknowledge {
     fast_stop_id: Option<String>,
     /// Lease token; the request renews the lease. Required without `fast_stop_id` if the gripper is leased. Empty means
     /// none.
-    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
-    lease: Option<String>,
+    lease: Option<LeaseField>,
 }
 
 /// An acknowledged FAST STOP or fault.
@@ -155,7 +174,7 @@ pub struct Acknowledged {
     fast_stop: bool,
 }
 
-async fn acknowledge(call: Call) -> Result<Json<Acknowledged>, Problem> {
+async fn acknowledge(call: Call<Acknowledge>) -> Result<Json<Acknowledged>, Problem> {
     let (gripper, body): (_, Acknowledge) = call.gripper_and_fields()?;
     let parse = |id: String| {
         id.parse::<FastStopId>().map_err(|error| {

@@ -1,6 +1,5 @@
 //! The finger set that is mounted on a gripper. The device does not know it, so a person or an MES names it.
 
-use http::Method as Verb;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -8,17 +7,31 @@ use utoipa::openapi::schema::OneOfBuilder;
 
 use super::call::{Call, NoFields};
 use super::durable::{check_journal, durable};
-use super::operation::{Operation, ready, reply};
+use super::operation::operations;
 use super::problem::Problem;
 use super::reply::Json;
 use super::values::{TextOrNumber, integer, part_id, required_text_or_number};
-use crate::gripper::model::Name;
+use crate::model::Name;
 use crate::wear::{FingerSet, MountRequest};
 
-const PATH: &str = "/grippers/{gripper}/finger-set";
+operations! {
+    /// Get the finger set
+    ///
+    /// Returns the mounted finger set, and its use since it was mounted.
+    GET = GET "/grippers/{gripper}/finger-set" as "finger-set" {
+        run: get, id: "get_finger_set", tag: "grippers", problems: GRIPPER,
+        answer: "The finger set",
+    };
 
-pub const GET: Operation = Operation::read("finger-set", PATH, |call| ready(get(&call)));
-pub const SET: Operation = Operation::change("finger-set.set", &Verb::PUT, PATH, |call| reply(set(call)));
+    /// Set the finger set
+    ///
+    /// Notes the mounted finger set and its maintenance limits. Nothing is sent to the device. With another id, counting
+    /// starts from zero; with the same id only if `reset` is set.
+    SET = PUT "/grippers/{gripper}/finger-set" as "finger-set.set" {
+        run: set, id: "set_finger_set", tag: "grippers", problems: KNOWLEDGE,
+        answer: "The finger set",
+    };
+}
 
 /// Greatest number of grips before a maintenance.
 const MAX_CYCLES: u64 = 1_000_000_000;
@@ -41,7 +54,7 @@ pub struct FingerSetAnswer {
     #[schema(required, max_length = 48)]
     id: Option<String>,
     /// Time from which the use of the set is counted.
-    #[serde(serialize_with = "crate::gripper::model::time::milliseconds_or_null")]
+    #[serde(serialize_with = "crate::model::time::milliseconds_or_null")]
     #[schema(value_type = Option<String>, required, format = DateTime)]
     mounted_at: Option<Timestamp>,
     /// Subject of the client that mounted the set or reset its counts.
@@ -103,13 +116,13 @@ pub struct SetFingerSet {
     reset: bool,
 }
 
-fn get(call: &Call) -> Result<Json<FingerSetAnswer>, Problem> {
+fn get(call: &Call<NoFields>) -> Result<Json<FingerSetAnswer>, Problem> {
     let (gripper, NoFields {}) = call.gripper_and_fields()?;
     let name = gripper.handle.name();
     Ok(Json(FingerSetAnswer::of(name, call.gateway.wear.finger_set(name).as_ref())))
 }
 
-async fn set(call: Call) -> Result<Json<FingerSetAnswer>, Problem> {
+async fn set(call: Call<SetFingerSet>) -> Result<Json<FingerSetAnswer>, Problem> {
     let (gripper, SetFingerSet { id, maintenance_cycles, maintenance_travel_m, reset }) = call.gripper_and_fields()?;
     let cycles = |cycles| integer("maintenance_cycles", cycles, 1..=MAX_CYCLES);
     let is_wrong = |travel_m: &f64| !(MIN_TRAVEL_M..=MAX_TRAVEL_M).contains(travel_m);

@@ -1,24 +1,41 @@
 //! Operations on fingers (firmware 4 and up).
 
-use http::Method as Verb;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::call::{Call, NoFields};
 use super::device::ask;
-use super::operation::{Operation, reply};
+use super::operation::operations;
 use super::problem::Problem;
 use super::reply::Json;
+use super::values::LeaseField;
 use crate::wsg::{self, Data, Finger};
 
-pub const INFO: Operation =
-    Operation::read("fingers", "/grippers/{gripper}/fingers/{finger}", |call| reply(info(call)));
-pub const DATA: Operation =
-    Operation::read("fingers.data", "/grippers/{gripper}/fingers/{finger}/data", |call| reply(data(call)));
-pub const POWER: Operation =
-    Operation::change("fingers.power", &Verb::PUT, "/grippers/{gripper}/fingers/{finger}/power", |call| {
-        reply(power(call))
-    });
+operations! {
+    /// Get a finger
+    ///
+    /// Returns the finger's type and flags (firmware 4 and up).
+    INFO = GET "/grippers/{gripper}/fingers/{finger}" as "fingers" {
+        run: info, id: "get_finger", tag: "device", problems: DEVICE,
+        answer: "The finger",
+    };
+
+    /// Get a finger's data
+    ///
+    /// Returns one frame of the finger's measured data (firmware 4 and up).
+    DATA = GET "/grippers/{gripper}/fingers/{finger}/data" as "fingers.data" {
+        run: data, id: "get_finger_data", tag: "device", problems: DEVICE,
+        answer: "The data",
+    };
+
+    /// Switch a finger's power
+    ///
+    /// Supported by generic fingers only (firmware 4 and up). Switching on takes about half a second.
+    POWER = PUT "/grippers/{gripper}/fingers/{finger}/power" as "fingers.power" {
+        run: power, id: "set_finger_power", tag: "device", problems: DEVICE,
+        answer: "The power was switched",
+    };
+}
 
 /// Type and flags of a finger.
 #[derive(Debug, Serialize, ToSchema)]
@@ -50,7 +67,7 @@ pub struct FingerAnswer {
     flags_raw: u16,
 }
 
-async fn info(call: Call) -> Result<Json<FingerAnswer>, Problem> {
+async fn info(call: Call<NoFields>) -> Result<Json<FingerAnswer>, Problem> {
     let (gripper, finger) = (call.gripper()?, call.finger()?);
     let NoFields {} = call.fields()?;
     let take = |data| if let Data::FingerInfo(_, info) = data { Some(info) } else { None };
@@ -90,7 +107,7 @@ pub struct FingerDataAnswer {
     data: String,
 }
 
-async fn data(call: Call) -> Result<Json<FingerDataAnswer>, Problem> {
+async fn data(call: Call<NoFields>) -> Result<Json<FingerDataAnswer>, Problem> {
     let (gripper, finger) = (call.gripper()?, call.finger()?);
     let NoFields {} = call.fields()?;
     let take = |data| if let Data::FingerData(_, bytes) = data { Some(bytes) } else { None };
@@ -105,9 +122,7 @@ async fn data(call: Call) -> Result<Json<FingerDataAnswer>, Problem> {
 pub struct Power {
     /// Whether the power is on.
     enabled: bool,
-    /// Token of the current lease, if the gripper is leased. At most 64 bytes; empty means none.
-    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
-    lease: Option<String>,
+    lease: Option<LeaseField>,
 }
 
 /// Power of a finger.
@@ -124,7 +139,7 @@ pub struct PowerAnswer {
     enabled: bool,
 }
 
-async fn power(call: Call) -> Result<Json<PowerAnswer>, Problem> {
+async fn power(call: Call<Power>) -> Result<Json<PowerAnswer>, Problem> {
     let (gripper, finger) = (call.gripper()?, call.finger()?);
     let Power { enabled, lease } = call.fields()?;
     let gripper = gripper.with_lease(lease.as_deref())?;

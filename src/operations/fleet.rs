@@ -4,30 +4,53 @@ use std::collections::BTreeSet;
 
 use futures_util::StreamExt as _;
 use futures_util::stream::iter;
-use http::Method as Verb;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use serde_json::value::{RawValue, to_raw_value};
 use utoipa::ToSchema;
 
 use super::call::{Call, NoFields};
-use super::fast_stop::{ACKNOWLEDGE as ACKNOWLEDGE_ONE, by_confirmation, log, reason};
-use super::operation::{Operation, ready, reply};
+use super::fast_stop::{ACKNOWLEDGE as ACKNOWLEDGE_ONE, FastStopBody, by_confirmation, log, reason};
+use super::operation::operations;
 use super::problem::{Members, Problem};
 use super::reply::Json;
 use crate::access::Right;
 use crate::fleet::{FleetGripper, FleetStop, NoAnswer, PeerRequest};
-use crate::gripper::model::{Code, FastStopId, Name, Urgency};
+use crate::model::{Code, FastStopId, Name, Urgency};
 
-pub const LIST: Operation = Operation::read("fleet", "/fleet", |call| ready(list(&call)));
-pub const FAST_STOP: Operation =
-    Operation::change("fleet.fast-stop", &Verb::POST, "/fleet/fast-stop", |call| reply(fast_stop(call)))
-        .needs(Right::FastStop)
-        .urgent(Urgency::FastStop)
-        .despite_mistakes();
+operations! {
+    /// List the fleet
+    ///
+    /// Lists all grippers of all gateways on the Zenoh network, including this gateway's own. A gateway that vanishes
+    /// is marked `gone` within 2 s. Each gripper operation is also available below
+    /// `/fleet/{gateway}/grippers/{gripper}/…`, with the same fields, responses and problems. The gateway that owns the
+    /// gripper decides.
+    ///
+    /// `gateway_gone` means that nothing was sent to that gateway. `gateway_timeout` means that the outcome is unknown:
+    /// repeat the request with the same `request_id`.
+    LIST = GET "/fleet" as "fleet" {
+        run: list, id: "fleet", tag: "fleet", problems: ANY,
+        answer: "All grippers of all gateways",
+    };
 
-pub const ACKNOWLEDGE: Operation =
-    Operation::change("fleet.acknowledge", &Verb::POST, "/fleet/acknowledge", |call| reply(acknowledge(call)));
+    /// FAST STOP the fleet
+    ///
+    /// Sends a FAST STOP to all grippers of all gateways. The response comes once all grippers of live gateways have
+    /// confirmed it, or after 500 ms. FAST STOP is not a safety function in the sense of ISO 13850.
+    FAST_STOP = POST "/fleet/fast-stop" as "fleet.fast-stop" {
+        run: fast_stop, id: "fleet_fast_stop", tag: "fleet", problems: FAST_STOPS,
+        answer: "The FAST STOP was sent to the fleet",
+    }.needs(Right::FastStop).urgent(Urgency::FastStop).despite_mistakes();
+
+    /// Acknowledge FAST STOPs of the fleet
+    ///
+    /// Acknowledges each gripper of any gateway whose latched FAST STOP is named. A gripper that cannot be acknowledged
+    /// has a problem, and does not prevent the others. Acknowledging moves nothing.
+    ACKNOWLEDGE = POST "/fleet/acknowledge" as "fleet.acknowledge" {
+        run: acknowledge, id: "fleet_acknowledge", tag: "fleet", problems: COMMAND,
+        answer: "The acknowledgements were sent",
+    };
+}
 
 /// Most FAST STOPs that one request acknowledges.
 const MAX_IDS: usize = 256;
@@ -62,12 +85,12 @@ pub struct FleetFastStopAnswer {
     unconfirmed: Vec<String>,
 }
 
-fn list(call: &Call) -> Result<Json<FleetList>, Problem> {
+fn list(call: &Call<NoFields>) -> Result<Json<FleetList>, Problem> {
     let NoFields {} = call.fields()?;
     Ok(Json(FleetList { grippers: call.gateway.peers.grippers() }))
 }
 
-async fn fast_stop(call: Call) -> Result<Json<FleetFastStopAnswer>, Problem> {
+async fn fast_stop(call: Call<FastStopBody>) -> Result<Json<FleetFastStopAnswer>, Problem> {
     let FleetStop { id, stops, is_complete } = call.gateway.peers.fast_stop(&call.caller.client, &reason(&call)).await;
     log(id);
     let (confirmed, unconfirmed) = by_confirmation(stops);
@@ -109,7 +132,7 @@ pub struct FailedAcknowledge {
     problem: Box<RawValue>,
 }
 
-async fn acknowledge(call: Call) -> Result<Json<FleetAcknowledged>, Problem> {
+async fn acknowledge(call: Call<FleetAcknowledge>) -> Result<Json<FleetAcknowledged>, Problem> {
     let FleetAcknowledge { fast_stop_ids } = call.fields()?;
     if !(1..=MAX_IDS).contains(&fast_stop_ids.len()) {
         return Err(Problem::malformed("fast_stop_ids", format!("fast_stop_ids must have 1 to {MAX_IDS} ids")));
@@ -142,7 +165,7 @@ async fn acknowledge(call: Call) -> Result<Json<FleetAcknowledged>, Problem> {
     Ok(Json(answer))
 }
 
-async fn acknowledge_one(call: &Call, gateway: &str, gripper: &str, id: FastStopId) -> Result<(), Box<RawValue>> {
+async fn acknowledge_one<P>(call: &Call<P>, gateway: &str, gripper: &str, id: FastStopId) -> Result<(), Box<RawValue>> {
     let raw = |problem: Problem| to_raw_value(problem.members()).unwrap_or_default();
     let client = call.caller.client.clone();
     let unknown = || raw(Problem::not_found("gripper with this name"));

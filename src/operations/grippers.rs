@@ -6,20 +6,53 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::call::{Call, NoFields};
-use super::operation::{Operation, ready};
+use super::operation::operations;
 use super::problem::Problem;
-use super::reply::Json;
-use crate::gripper::model::{GripperStatus, State};
+use super::reply::{Json, SharedJson};
 use crate::gripper::{Handle, Info, Now};
+use crate::model::{GripperStatus, State};
 use crate::trends::Trend;
 
-pub const LIST: Operation = Operation::read("grippers", "/grippers", |call| ready(list(&call)));
-pub const INFO: Operation = Operation::read("info", "/grippers/{gripper}", |call| ready(info(&call)));
-pub const STATUS: Operation =
-    Operation::read("status", "/grippers/{gripper}/status", |call| ready(status(&call))).compact();
-pub const STATE: Operation = Operation::read("state", "/grippers/{gripper}/state", |call| ready(state(&call)));
+operations! {
+    /// List all grippers
+    LIST = GET "/grippers" as "grippers" {
+        run: list, id: "list_grippers", tag: "grippers", problems: ANY,
+        answer: "All grippers of this gateway",
+    };
 
-pub const TREND: Operation = Operation::read("trend", "/grippers/{gripper}/trend", |call| ready(trend(&call)));
+    /// Get a gripper
+    ///
+    /// Returns the gripper's device, limits, capabilities and link.
+    INFO = GET "/grippers/{gripper}" as "info" {
+        run: info, id: "get_gripper", tag: "grippers", problems: GRIPPER,
+        answer: "The gripper",
+    };
+
+    /// Get a gripper's status
+    ///
+    /// Returns the bits and numbers that a cyclic program needs. The whole response is smaller than 256 bytes, because
+    /// headers that only browsers need are left out.
+    STATUS = GET "/grippers/{gripper}/status" as "status" {
+        run: status, id: "get_status", tag: "grippers", problems: GRIPPER,
+        answer: "The status",
+    }.compact();
+
+    /// Get a gripper's state
+    ///
+    /// Returns the newest state; `age_ms` is its age.
+    STATE = GET "/grippers/{gripper}/state" as "state" {
+        run: state, id: "get_state", tag: "grippers", problems: GRIPPER,
+        answer: "The newest state",
+    };
+
+    /// Get a gripper's trend
+    ///
+    /// Returns the measured values of the last ten minutes, five a second at most, for charts.
+    TREND = GET "/grippers/{gripper}/trend" as "trend" {
+        run: trend, id: "get_trend", tag: "grippers", problems: GRIPPER,
+        answer: "The trend",
+    };
+}
 
 /// All grippers.
 #[derive(Debug, Serialize, ToSchema)]
@@ -29,27 +62,27 @@ pub struct GripperList {
     grippers: Vec<Arc<Info>>,
 }
 
-fn list(call: &Call) -> Result<Json<GripperList>, Problem> {
+fn list(call: &Call<NoFields>) -> Result<Json<GripperList>, Problem> {
     let NoFields {} = call.fields()?;
     Ok(Json(GripperList { grippers: call.gateway.grippers.all().iter().map(Handle::info).collect() }))
 }
 
-fn info(call: &Call) -> Result<Json<Arc<Info>>, Problem> {
+fn info(call: &Call<NoFields>) -> Result<SharedJson<Info>, Problem> {
     let (gripper, NoFields {}) = call.gripper_and_fields()?;
-    Ok(Json(gripper.with_lease(None)?.handle.info()))
+    Ok(SharedJson(gripper.handle.info()))
 }
 
-fn status(call: &Call) -> Result<Json<GripperStatus>, Problem> {
+fn status(call: &Call<NoFields>) -> Result<Json<GripperStatus>, Problem> {
     let (gripper, NoFields {}) = call.gripper_and_fields()?;
-    Ok(Json(GripperStatus::of(&gripper.with_lease(None)?.handle.state(), Now::read().instant)))
+    Ok(Json(GripperStatus::of(&gripper.handle.state(), Now::read().instant)))
 }
 
-fn state(call: &Call) -> Result<Json<Arc<State>>, Problem> {
+fn state(call: &Call<NoFields>) -> Result<SharedJson<State>, Problem> {
     let (gripper, NoFields {}) = call.gripper_and_fields()?;
-    Ok(Json(gripper.with_lease(None)?.handle.state()))
+    Ok(SharedJson(gripper.handle.state()))
 }
 
-fn trend(call: &Call) -> Result<Json<Trend>, Problem> {
+fn trend(call: &Call<NoFields>) -> Result<Json<Trend>, Problem> {
     let (gripper, NoFields {}) = call.gripper_and_fields()?;
-    Ok(Json(call.gateway.trends.of(gripper.with_lease(None)?.handle.name())))
+    Ok(Json(call.gateway.trends.of(gripper.handle.name())))
 }

@@ -2,11 +2,13 @@
 
 use std::fmt;
 
+use serde::de::value::MapDeserializer;
 use serde::de::{Deserialize, DeserializeOwned, Deserializer, Error, MapAccess, SeqAccess, Visitor};
+use serde::forward_to_deserialize_any;
 use serde_json::{Map, Value};
 
 use super::problem::Problem;
-use crate::gripper::model::Code;
+use crate::model::{Code, without_byte_order_mark};
 
 /// Largest accepted body, message or payload, in bytes. The largest that any request needs is a `raw` one of 8 KiB.
 pub const MAX_BODY_BYTES: usize = 64 * 1024;
@@ -16,26 +18,34 @@ pub const MAX_BODY_BYTES: usize = 64 * 1024;
 /// of the response with the reason.
 pub const MAX_OVERSIZED_BYTES: usize = 2 * 1024 * 1024;
 
-/// Parses the JSON object in `bytes`. Empty input stands for an empty object. NUL bytes after the object are ignored:
-/// some PLCs send a whole buffer.
+/// Parses the JSON object in `bytes` as described at [`object`], and its fields as described at [`of_object`].
 ///
 /// # Errors
 /// A problem that names the wrong field, if there is one.
 pub fn parse<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {
-    let bytes = without_padding(bytes);
-    // JSON allows no form feed as white space (RFC 8259, 2), unlike `trim_ascii_start`.
-    let start = bytes.iter().position(|byte| !b" \t\r\n".contains(byte)).unwrap_or(bytes.len());
-    let bytes = match &bytes[start..] {
-        [] => b"{}",
-        // serde would also read a struct from an array, by position, which no client intends.
-        object @ [b'{', ..] => object,
+    of_object(&object(bytes)?)
+}
+
+/// Parses a JSON object without duplicate keys. Empty input and `null` stand for an empty object: some clients, such as
+/// generated Go clients, send `null` when they have no body. A byte order mark before the object is ignored, and so are
+/// NUL bytes after it: some PLCs send a whole buffer.
+///
+/// # Errors
+/// A problem that names the wrong field, if there is one.
+pub fn object(bytes: &[u8]) -> Result<Map<String, Value>, Problem> {
+    let bytes = trimmed(bytes);
+    match bytes {
+        [] | b"null" => return Ok(Map::new()),
+        [b'{', ..] => {}
         _ => return Err(Problem::new(Code::Malformed, "the body must be a JSON object")),
-    };
+    }
     let mut json = serde_json::Deserializer::from_slice(bytes);
-    let value = |field: &str| serde_json::from_slice::<Value>(bytes).ok()?.get(field).cloned();
-    let parsed = serde_path_to_error::deserialize(&mut json).map_err(|error| problem(&error, value))?;
+    let parsed = serde_path_to_error::deserialize(&mut json).map_err(|error| problem(&error, |_| None))?;
     json.end().map_err(|error| Problem::new(Code::Malformed, format!("invalid JSON body: {error}")))?;
-    Ok(parsed)
+    match parsed {
+        StrictJson(Value::Object(object)) => Ok(object),
+        StrictJson(_) => Err(Problem::internal()),
+    }
 }
 
 /// Largest text that [`text_member`] parses, in bytes. All FAST STOPs are served on one runtime, and a large text
@@ -48,21 +58,60 @@ pub fn text_member(bytes: &[u8], key: &str) -> Option<String> {
     if bytes.len() > MAX_SEARCHED_BYTES {
         return None;
     }
-    serde_json::from_slice::<Value>(without_padding(bytes)).ok()?.get(key)?.as_str().map(ToOwned::to_owned)
+    serde_json::from_slice::<Value>(trimmed(bytes)).ok()?.get(key)?.as_str().map(ToOwned::to_owned)
 }
 
-/// Returns `bytes` without NUL bytes at the end. Bytes that are all NUL stay, since they are not JSON.
-fn without_padding(bytes: &[u8]) -> &[u8] {
+/// Returns `bytes` without a byte order mark and white space at the start, and without NUL bytes and white space at the
+/// end. Bytes that are all NUL stay, since they are not JSON.
+fn trimmed(bytes: &[u8]) -> &[u8] {
+    let bytes = without_byte_order_mark(bytes);
     let end = bytes.iter().rposition(|byte| *byte != 0).map_or(bytes.len(), |last| last + 1);
-    &bytes[..end]
+    let bytes = &bytes[..end];
+    let start = bytes.iter().position(|byte| !is_space(*byte)).unwrap_or(bytes.len());
+    let end = bytes.iter().rposition(|byte| !is_space(*byte)).map_or(start, |last| last + 1);
+    &bytes[start..end]
 }
 
-/// Parses the fields of an object.
+/// White space of JSON, which has no form feed (RFC 8259, 2), unlike `trim_ascii`.
+fn is_space(byte: u8) -> bool {
+    b" \t\r\n".contains(&byte)
+}
+
+/// Parses the fields of an object. An optional field that is `null` counts as absent, and a required one as missing.
 ///
 /// # Errors
 /// A problem that names the field.
 pub fn of_object<T: DeserializeOwned>(object: &Map<String, Value>) -> Result<T, Problem> {
-    serde_path_to_error::deserialize(object).map_err(|error| problem(&error, |field| object.get(field).cloned()))
+    serde_path_to_error::deserialize(GivenFields(object))
+        .map_err(|error| problem(&error, |field| object.get(field).cloned()))
+}
+
+/// Deserializer of an object that leaves out the fields of a struct that are `null`. A field that the struct does not
+/// have stays, so that it is refused by its name.
+struct GivenFields<'de>(&'de Map<String, Value>);
+
+impl<'de> Deserializer<'de> for GivenFields<'de> {
+    type Error = serde_json::Error;
+
+    fn deserialize_struct<V: Visitor<'de>>(
+        self,
+        _: &'static str,
+        known: &'static [&'static str],
+        visitor: V,
+    ) -> Result<V::Value, Self::Error> {
+        let fields = self.0.iter().map(|(name, value)| (name.as_str(), value));
+        visitor
+            .visit_map(MapDeserializer::new(fields.filter(|(name, value)| !value.is_null() || !known.contains(name))))
+    }
+
+    fn deserialize_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Self::Error> {
+        self.0.deserialize_any(visitor)
+    }
+
+    forward_to_deserialize_any! {
+        bool i8 i16 i32 i64 u8 u16 u32 u64 f32 f64 char str string bytes byte_buf option unit unit_struct newtype_struct
+        seq tuple tuple_struct map enum identifier ignored_any
+    }
 }
 
 fn problem(
@@ -136,7 +185,8 @@ fn words(expected: &str) -> String {
         "f32" | "f64" => "a number".to_owned(),
         "i8" | "i16" | "i32" | "i64" | "u8" | "u16" | "u32" | "u64" | "usize" => "a whole number".to_owned(),
         "a boolean" => "true or false".to_owned(),
-        "a string" | "string" | "a borrowed string" => "a string".to_owned(),
+        // An enumeration without values is a text.
+        "a string" | "string" | "a borrowed string" | "string or map" => "a string".to_owned(),
         "a sequence" => "a list".to_owned(),
         "a map" => "an object".to_owned(),
         expected if expected.starts_with("struct ") => "an object".to_owned(),
@@ -244,10 +294,17 @@ mod tests {
     fn empty_body_is_an_empty_object() {
         #[derive(Deserialize)]
         struct Nothing {}
-        for nothing in [&b""[..], b" \r\n", b"{}"] {
+        for nothing in [&b""[..], b" \r\n", b"{}", b"null", b" null\r\n\0", b"\xEF\xBB\xBF", b"\xEF\xBB\xBF {}"] {
             let Nothing {} = parse(nothing).unwrap();
         }
         assert_eq!(problem(b"")["field"], "width_mm");
+        assert_eq!(problem(b"null")["detail"], "width_mm is missing");
+    }
+
+    #[test]
+    fn null_field_counts_as_absent() {
+        let body = br#"{"width_mm": 96, "relative": null}"#;
+        assert_eq!(parse::<Move>(body).unwrap(), Move { width_mm: 96.0, relative: false });
     }
 
     #[test]
@@ -290,10 +347,16 @@ mod tests {
             (r#"{"width": 1}"#, "unknown field width; known: width_mm, relative, lease, side, name, count"),
             (r#"{"width_mm": NaN}"#, "invalid JSON at width_mm: expected value at line 1 column 14"),
             (r#"{"width_mm": "20"}"#, "width_mm must be a number"),
-            (r#"{"width_mm": null}"#, "width_mm must be a number"),
+            (r#"{"width_mm": null}"#, "width_mm is missing"),
+            (
+                r#"{"width_mm": 1, "widht_mm": null}"#,
+                "unknown field widht_mm; known: width_mm, relative, lease, side, name, count",
+            ),
             (r#"{"width_mm": 1, "relative": 1}"#, "relative must be true or false"),
             (r#"{"width_mm": 1, "lease": 1}"#, "lease must be a string"),
             (r#"{"width_mm": 1, "side": "up"}"#, "side must be inner or outer"),
+            (r#"{"width_mm": 1, "side": 7}"#, "side must be a string"),
+            (r#"{"width_mm": 1, "side": [null]}"#, "side must be a string"),
             (r#"{"width_mm": 1, "name": {}}"#, "name must be a string or a whole number"),
             (r#"{"width_mm": 1, "count": 300}"#, "count must be a whole number"),
         ] {
@@ -316,11 +379,12 @@ mod tests {
 
     #[test]
     fn anything_but_an_object_is_malformed() {
-        let bodies: [&[u8]; 11] = [
+        let bodies: [&[u8]; 12] = [
             b"\x0c",
             b"[20, true]",
             b"20",
-            b"null",
+            b"nullnull",
+            b"null {}",
             b"\"x\"",
             b"{\"width_mm\": NaN}",
             b"{\"width_mm\": 1e999}",

@@ -3,40 +3,74 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use http::Method as Verb;
 use serde::Deserialize;
 use utoipa::ToSchema;
 
-use super::call::{Call, NoFields};
+use super::call::{Call, Leased, NoFields};
 use super::connection_lease::ConnectionLease;
-use super::operation::{Operation, reply};
+use super::operation::operations;
 use super::problem::Problem;
-use super::reply::{Effect, Json, OperationReply};
-use super::values::{integer, name, text};
+use super::reply::{Effect, Json, OrWaiting};
+use super::values::{LeaseField, integer, name, text};
 use crate::access::Right;
 use crate::fleet::keys::MAX_SUBJECT_BYTES;
-use crate::gripper::model::lease::{MAX_TTL, MIN_TTL};
-use crate::gripper::model::{Lease, OnLossHolding, OnLossMoving, TakeLease, Urgency};
 use crate::gripper::{AcquiredLease, Conflict, Rejection};
+use crate::model::lease::{MAX_TTL, MIN_TTL};
+use crate::model::{Lease, OnLossHolding, OnLossMoving, TakeLease, Urgency};
 
-const PATH: &str = "/grippers/{gripper}/lease";
+operations! {
+    /// Get the lease
+    ///
+    /// Returns the lease holder and the remaining time. While nobody holds the lease, any client may move the gripper,
+    /// one command at a time.
+    GET = GET "/grippers/{gripper}/lease" as "lease" {
+        run: get, id: "get_lease", tag: "lease", problems: COMMAND,
+        answer: "The lease, without its token",
+    };
 
-pub const GET: Operation = Operation::read("lease", PATH, |call| reply(get(call)));
-pub const TAKE: Operation = Operation::change("lease.take", &Verb::POST, PATH, |call| reply(take(call)));
-pub const RENEW: Operation =
-    Operation::change("lease.renew", &Verb::PUT, PATH, |call| reply(renew(call))).urgent(Urgency::Lease);
-pub const RELEASE: Operation =
-    Operation::change("lease.release", &Verb::DELETE, PATH, |call| reply(release(call))).urgent(Urgency::Lease);
-pub const HAND_OVER: Operation =
-    Operation::change("lease.hand-over", &Verb::POST, "/grippers/{gripper}/lease/hand-over", |call| {
-        reply(hand_over(call))
-    });
+    /// Take the lease
+    ///
+    /// Returns a token; send it with every further command. Each use of the token renews the lease, and an open request
+    /// with it keeps the lease alive. A holder that stays silent for `ttl_ms` counts as lost; `on_loss_moving` and
+    /// `on_loss_holding` say what the gripper does then.
+    ///
+    /// A client that has lost its token gets its lease back with the same `holder` and the same credential or address.
+    /// This is refused until the lease has not been used for half its time to live, while a motion runs, while a part
+    /// is held and `on_loss_holding` is `fast_stop`, and while a request or connection of the holder is open.
+    TAKE = POST "/grippers/{gripper}/lease" as "lease.take" {
+        run: take, id: "take_lease", tag: "lease", problems: LEASE,
+        answer: "The lease, with its token",
+    };
+
+    /// Renew the lease
+    RENEW = PUT "/grippers/{gripper}/lease" as "lease.renew" {
+        run: renew, id: "renew_lease", tag: "lease", problems: LEASE,
+        answer: "The lease, renewed",
+    }.urgent(Urgency::Lease);
+
+    /// Release the lease
+    ///
+    /// Stops a running motion and latches nothing. A lease that the caller no longer holds is left unchanged.
+    RELEASE = DELETE "/grippers/{gripper}/lease" as "lease.release" {
+        run: release, id: "release_lease", tag: "lease", problems: COMMAND,
+        answer: "The current lease",
+    }.urgent(Urgency::Lease);
+
+    /// Hand the lease over
+    ///
+    /// Passes the lease to the client in `requested_by`, which gets its own token when it requests the lease again. A
+    /// running motion continues.
+    HAND_OVER = POST "/grippers/{gripper}/lease/hand-over" as "lease.hand-over" {
+        run: hand_over, id: "hand_over_lease", tag: "lease", problems: LEASE,
+        answer: "The current lease",
+    };
+}
 
 type LeaseResult = Result<Json<Lease>, Problem>;
 
-async fn get(call: Call) -> LeaseResult {
+async fn get(call: Call<NoFields>) -> LeaseResult {
     let (gripper, NoFields {}) = call.gripper_and_fields()?;
-    Ok(Json(gripper.with_lease(None)?.handle.lease().await?))
+    Ok(Json(gripper.handle.lease().await?))
 }
 
 /// A request for the lease.
@@ -69,11 +103,10 @@ pub struct Take {
     request: bool,
     /// Token of the lease, if the client already holds the lease and changes its terms. At most 64 bytes; empty means
     /// none.
-    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
-    lease: Option<String>,
+    lease: Option<LeaseField>,
 }
 
-async fn take(call: Call) -> Result<OperationReply, Problem> {
+async fn take(call: Call<Take>) -> Result<OrWaiting<Lease>, Problem> {
     let (gripper, body): (_, Take) = call.gripper_and_fields()?;
     let gripper = gripper.with_lease(body.lease.as_deref())?;
     if body.force {
@@ -95,22 +128,22 @@ async fn take(call: Call) -> Result<OperationReply, Problem> {
     let taken = match handle.take_lease(take).await {
         Err(Rejection::Conflict(Conflict::LeaseRequested { place, .. })) => {
             let lease = Lease { place: Some(place), ..handle.lease().await? };
-            return OperationReply::new(&lease, Effect::Waiting);
+            return OrWaiting::new(&lease, Effect::Waiting);
         }
         taken => taken?,
     };
     let AcquiredLease { lease, times_taken, keep } = taken;
     let keep = keep.filter(|_| !has_ttl);
     let leased = ConnectionLease::new(handle, &lease, times_taken, keep);
-    OperationReply::new(&lease, leased.map_or(Effect::None, |lease| Effect::Leased(Arc::new(lease))))
+    OrWaiting::new(&lease, leased.map_or(Effect::None, |lease| Effect::Leased(Arc::new(lease))))
 }
 
-async fn renew(call: Call) -> LeaseResult {
+async fn renew(call: Call<Leased>) -> LeaseResult {
     let gripper = call.leased()?;
     Ok(Json(gripper.handle.renew_lease(gripper.token()).await?))
 }
 
-async fn release(call: Call) -> LeaseResult {
+async fn release(call: Call<Leased>) -> LeaseResult {
     let gripper = call.leased()?;
     Ok(Json(gripper.handle.release_lease(gripper.token()).await?))
 }
@@ -124,11 +157,10 @@ pub struct HandOver {
     #[schema(max_length = 86, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     to: String,
     /// Token of the lease. At most 64 bytes; empty means none.
-    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
-    lease: Option<String>,
+    lease: Option<LeaseField>,
 }
 
-async fn hand_over(call: Call) -> LeaseResult {
+async fn hand_over(call: Call<HandOver>) -> LeaseResult {
     let (gripper, body): (_, HandOver) = call.gripper_and_fields()?;
     let gripper = gripper.with_lease(body.lease.as_deref())?;
     let to = text::<MAX_SUBJECT_BYTES>("to", &body.to)?;

@@ -2,19 +2,26 @@
 
 use std::sync::Arc;
 
-use http::Method as Verb;
 use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::call::{Call, NoFields};
-use super::operation::{Operation, ready};
+use super::operation::operations;
 use super::problem::Problem;
 use super::reply::Json;
 use crate::access::{Identity, Proof, Right, Role};
-use crate::gripper::model::Name;
+use crate::model::Name;
 
-/// Every client with a credential may read its own identity, whatever its role.
-pub const ME: Operation = Operation::change("me", &Verb::GET, "/me", |call| ready(me(&call))).needs(Right::FastStop);
+operations! {
+    // Every client with a credential may read its own identity, whatever its role.
+    /// Get my identity
+    ///
+    /// Returns who the client is to the gateway, what it may do with each gripper, and until when.
+    ME = GET "/me" as "me" {
+        run: me, id: "me", tag: "gateway", problems: ANY,
+        answer: "The client's identity",
+    }.needs(Right::FastStop);
+}
 
 /// Identity and rights of a client.
 #[derive(Debug, Serialize, ToSchema)]
@@ -49,7 +56,7 @@ pub struct GripperRole {
     role: Option<Role>,
 }
 
-fn me(call: &Call) -> Result<Json<Me>, Problem> {
+fn me(call: &Call<NoFields>) -> Result<Json<Me>, Problem> {
     let NoFields {} = call.fields()?;
     let Identity { name, role, expires_at, proof, scope, .. } = call.caller.identity.clone()?;
     // Reads are not limited to the credential's grippers.

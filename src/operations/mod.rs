@@ -1,7 +1,8 @@
 //! Everything that a client can request, defined once for all interfaces.
 //!
-//! An [`Operation`] has a name, a path, a required right, an urgency, and a function. The table [`OPERATIONS`] lists
-//! them all; the HTTP paths, WebSocket methods and Zenoh command keys come from this table. `run` performs an operation
+//! An [`Operation`] has a name, a path, a required right, an urgency, and a function. Each
+//! module declares its own, and [`all`] lists them; HTTP paths, WebSocket methods, Zenoh command keys and the API's
+//! documents come from there. `run` performs an operation
 //! for a `Caller`, and is the one place that records refused requests.
 //!
 //! Architecture invariant: an operation decides nothing about a gripper. It parses parameters into domain types and
@@ -15,6 +16,7 @@ pub(crate) mod clock;
 pub(crate) mod commands;
 pub(crate) mod connection;
 mod connection_lease;
+pub mod contract;
 pub(crate) mod copy_recipes;
 pub(crate) mod device;
 mod durable;
@@ -26,12 +28,15 @@ pub(crate) mod fleet;
 pub(crate) mod fuzz;
 mod gateway;
 pub(crate) mod grippers;
+mod handler;
 pub(crate) mod json;
 pub(crate) mod lease;
 pub(crate) mod me;
 pub(crate) mod motion;
+pub(crate) mod nearest;
 mod operation;
 mod problem;
+pub(crate) mod problem_sets;
 mod query_string;
 pub(crate) mod raw;
 pub(crate) mod readiness;
@@ -50,18 +55,18 @@ pub(crate) mod teach;
 pub(crate) mod values;
 pub(crate) mod webhooks;
 
-pub(crate) use crate::gripper::model::Code;
-pub(crate) use call::{Fields, Leased, Params};
-pub(crate) use caller::{Caller, DEFAULT_WAIT_MS, MAX_LEASE_BYTES, Presence, Wait, WaitLimiter, wait_ms};
+pub(crate) use crate::model::Code;
+pub(crate) use call::{Fields, Params};
+pub(crate) use caller::{Caller, DEFAULT_WAIT_MS, MAX_LEASE_BYTES, MAX_WAIT_MS, Presence, Wait, WaitLimiter, wait_ms};
 pub(crate) use connection_lease::ConnectionLease;
 pub use gateway::Gateway;
 pub use operation::Operation;
 pub(crate) use operation::journal_command;
 pub(crate) use problem::{Members, Problem};
-pub(crate) use query_string::QueryString;
+pub(crate) use query_string::{QueryString, words};
 pub use reload_requests::{ReloadRequest, Reloads};
 pub(crate) use reply::{Effect, OperationReply};
 pub(crate) use rights::{check, require};
 pub(crate) use run::{call, note_use, run};
-pub use table::OPERATIONS;
-pub(crate) use table::{find, is_fast_stop, named, urgency};
+pub(crate) use table::Method;
+pub use table::all;

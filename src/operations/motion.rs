@@ -8,29 +8,65 @@ use utoipa::openapi::schema::OneOfBuilder;
 use super::call::Call;
 use super::caller::{DEFAULT_WAIT_MS, RequestKeys};
 use super::commands;
-use super::operation::{Operation, reply};
+use super::operation::operations;
 use super::problem::Problem;
-use super::reply::OperationReply;
+use super::reply::OrRunning;
 use super::requested_recipe::RequestedRecipe;
-use super::values::{TextOrNumber, force, request_id_schema, speed, text_or_number, width};
+use super::values::{LeaseField, TextOrNumber, force, request_id_schema, speed, text_or_number, width};
 use crate::access::Right;
-use crate::gripper::model::{Action, Direction, Motion, OnBlock, RecipeValues, Urgency};
+use crate::model::{Action, CommandReport, Direction, Motion, OnBlock, RecipeValues, Urgency};
 use crate::wsg::MoveFlags;
 
-pub const HOME: Operation = Operation::command("home", "/grippers/{gripper}/home", |call| reply(submit::<Home>(call)));
-pub const MOVE: Operation = Operation::command("move", "/grippers/{gripper}/move", |call| reply(submit::<Move>(call)));
-pub const GRIP: Operation = Operation::command("grip", "/grippers/{gripper}/grip", |call| reply(submit::<Grip>(call)));
-pub const RELEASE: Operation =
-    Operation::command("release", "/grippers/{gripper}/release", |call| reply(submit::<Release>(call)));
-pub const STOP: Operation = Operation::command("stop", "/grippers/{gripper}/stop", |call| reply(submit::<Stop>(call)))
-    .needs(Right::Stop)
-    .urgent(Urgency::Stop)
-    .despite_mistakes();
+operations! {
+    /// Home the fingers
+    ///
+    /// References the gripper at an end stop. Required once after the device was switched on, before any other motion.
+    /// Keep the path of the fingers clear: an obstacle gives a wrong origin.
+    HOME = POST "/grippers/{gripper}/home" as "home" {
+        run: submit::<Home>, id: "home", tag: "motion", problems: DEVICE,
+        answer: "The ended command, with its `outcome`",
+    }.command();
+
+    /// Move the fingers
+    ///
+    /// The gateway refuses a width or speed beyond the device's limits, which the device itself would clamp. It also
+    /// refuses a target outside the soft limits.
+    MOVE = POST "/grippers/{gripper}/move" as "move" {
+        run: submit::<Move>, id: "move_to", tag: "motion", problems: DEVICE,
+        answer: "The ended command, with its `outcome`",
+    }.command();
+
+    /// Grip a part
+    ///
+    /// Ends with `PART_HELD`, or with `NO_PART` if the fingers found no part. `NO_PART` is a result, not an error.
+    GRIP = POST "/grippers/{gripper}/grip" as "grip" {
+        run: submit::<Grip>, id: "grip", tag: "motion", problems: RECIPE_MOTION,
+        answer: "The ended command, with its `outcome`",
+    }.command().with_some_field();
+
+    /// Release a part
+    ///
+    /// Opens the fingers to `width_mm`.
+    RELEASE = POST "/grippers/{gripper}/release" as "release" {
+        run: submit::<Release>, id: "release", tag: "motion", problems: RECIPE_MOTION,
+        answer: "The ended command, with its `outcome`",
+    }.command().with_some_field();
+
+    /// Stop
+    ///
+    /// Ends a running motion, whose command ends with `ABORTED`. Needs no lease and latches nothing. A stop that the
+    /// same client repeats within a second, while nothing runs, returns the same command with `replayed`. A malformed
+    /// body stops as well.
+    STOP = POST "/grippers/{gripper}/stop" as "stop" {
+        run: submit::<Stop>, id: "stop", tag: "motion", problems: DEVICE,
+        answer: "The ended command, with its `outcome`",
+    }.command().needs(Right::Stop).urgent(Urgency::Stop).despite_mistakes();
+}
 
 /// Parameters of a motion or of a stop.
 trait ActionFields: Sized {
     /// Parses the parameters. `call` has the gripper's name and the recipes.
-    fn action(self, call: &Call) -> Result<Action, Problem>;
+    fn action(self, call: &Call<Self>) -> Result<Action, Problem>;
 
     /// The action for malformed parameters, unless they are refused.
     const FALLBACK: Option<Action> = None;
@@ -52,9 +88,7 @@ macro_rules! command_body {
             $($fields)*
             #[schema(schema_with = request_id_schema)]
             request_id: Option<TextOrNumber>,
-            /// Token of the current lease, if the gripper is leased. At most 64 bytes; empty means none.
-            #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
-            lease: Option<String>,
+            lease: Option<LeaseField>,
         }
 
         impl KeyFields for $name {
@@ -172,13 +206,13 @@ command_body! {
 }
 
 impl ActionFields for Home {
-    fn action(self, _: &Call) -> Result<Action, Problem> {
+    fn action(self, _: &Call<Self>) -> Result<Action, Problem> {
         Ok(Action::Motion(Motion::Home(self.direction.into())))
     }
 }
 
 impl ActionFields for Move {
-    fn action(self, _: &Call) -> Result<Action, Problem> {
+    fn action(self, _: &Call<Self>) -> Result<Action, Problem> {
         Ok(Action::Motion(Motion::Move {
             flags: MoveFlags { relative: self.relative, stop_on_block: self.on_block == OnBlock::Stop },
             width: width("width_mm", self.width_mm)?,
@@ -188,7 +222,7 @@ impl ActionFields for Move {
 }
 
 impl ActionFields for Grip {
-    fn action(self, call: &Call) -> Result<Action, Problem> {
+    fn action(self, call: &Call<Self>) -> Result<Action, Problem> {
         let is_complete = self.width_mm.is_some() && self.speed_mm_s.is_some();
         let recipe = RequestedRecipe::of(call, self.recipe, self.recipe_version, self.part_id, is_complete)?;
         let RecipeValues { width_mm, speed_mm_s, force_n, .. } = recipe.values();
@@ -211,7 +245,7 @@ impl ActionFields for Grip {
 }
 
 impl ActionFields for Release {
-    fn action(self, call: &Call) -> Result<Action, Problem> {
+    fn action(self, call: &Call<Self>) -> Result<Action, Problem> {
         let is_complete = self.width_mm.is_some() && self.speed_mm_s.is_some();
         let recipe = RequestedRecipe::of(call, self.recipe, self.recipe_version, self.part_id, is_complete)?;
         let RecipeValues { release_width_mm, release_speed_mm_s, speed_mm_s, .. } = recipe.values();
@@ -224,7 +258,7 @@ impl ActionFields for Release {
 }
 
 impl ActionFields for Stop {
-    fn action(self, _: &Call) -> Result<Action, Problem> {
+    fn action(self, _: &Call<Self>) -> Result<Action, Problem> {
         Ok(Action::Stop)
     }
 
@@ -232,20 +266,23 @@ impl ActionFields for Stop {
     const FALLBACK: Option<Action> = Some(Action::Stop);
 }
 
-async fn submit<P: ActionFields + KeyFields + DeserializeOwned>(mut call: Call) -> Result<OperationReply, Problem> {
+async fn submit<P: ActionFields + KeyFields + DeserializeOwned>(
+    mut call: Call<P>,
+) -> Result<OrRunning<CommandReport>, Problem> {
     if P::FALLBACK.is_some() {
         call.caller = call.caller.without_mistakes();
     }
     let (gripper, wait) = (call.gripper()?, call.wait(DEFAULT_WAIT_MS)?);
-    let parsed = parse::<P>(&call);
+    let parsed = parse(&call);
     let fallback = |problem| Ok::<_, Problem>((RequestKeys::default(), P::FALLBACK.ok_or(problem)?));
     let (keys, action) = parsed.or_else(fallback)?;
     let (command, ticket) = commands::submit(gripper, keys, action, &wait).await?;
     commands::reply_with(&command, ticket)
 }
 
-fn parse<P: ActionFields + KeyFields + DeserializeOwned>(call: &Call) -> Result<(RequestKeys, Action), Problem> {
-    let (keys, fields) = (call.keys()?, call.fields::<P>()?);
+fn parse<P: ActionFields + KeyFields + DeserializeOwned>(call: &Call<P>) -> Result<(RequestKeys, Action), Problem> {
+    let keys = call.keys()?;
+    let fields = call.fields()?;
     let (request_id, lease) = fields.keys();
     Ok((keys.or_fields(request_id.as_deref(), lease)?, fields.action(call)?))
 }

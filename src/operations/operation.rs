@@ -1,14 +1,15 @@
-//! An operation: its name, path, right, urgency and function.
+//! An operation: all that the interfaces need to know about it, declared once.
 
-use futures_util::future::{BoxFuture, FutureExt as _};
 use http::Method as Verb;
+use utoipa::openapi::{RefOr, Schema};
 
 use super::call::Call;
-use super::problem::Problem;
-use super::reply::{IntoReply, OperationReply};
+use super::contract::Contract;
+use super::handler::Performing;
 use crate::access::Right;
-use crate::gripper::model::Urgency;
+use crate::model::Urgency;
 
+/// An operation, as `operations!` declares it.
 #[derive(Debug, Clone, Copy)]
 #[allow(clippy::struct_excessive_bools, reason = "independent properties")]
 pub struct Operation {
@@ -18,6 +19,20 @@ pub struct Operation {
     pub verb: &'static Verb,
     /// HTTP path, relative to the API's root. The other interfaces take the path's variables as parameters.
     pub path: &'static str,
+    /// Summary, and after an empty line the description, as a doc comment has them.
+    pub doc: &'static str,
+    /// `operationId` in the OpenAPI document.
+    pub id: &'static str,
+    /// Tag in the OpenAPI document.
+    pub tag: &'static str,
+    /// Description of the successful answer.
+    pub answer: &'static str,
+    /// Description of the answer if the operation created something.
+    pub creates: Option<&'static str>,
+    /// HTTP statuses of the problems that it can have.
+    pub problems: &'static [u16],
+    /// Parameters and answers.
+    pub contract: Contract,
     /// Right that the caller needs.
     pub right: Right,
     /// Precedence over other requests.
@@ -28,62 +43,116 @@ pub struct Operation {
     pub starts_command: bool,
     /// Whether the operation can wait for a command's end.
     pub waits: bool,
-    /// Fields that an HTTP request has in its query string.
-    pub query: &'static [&'static str],
     /// Whether the HTTP response leaves out headers that only browsers need.
     pub is_compact: bool,
+    /// Whether an HTTP request needs a body, although each of its fields can be absent.
+    pub needs_body: bool,
     /// Whether an HTTP request can name the version that it expects (RFC 9110 13.1).
     pub is_conditional: bool,
-    run: Run,
+    /// The function, which starts when it is called.
+    pub(super) start: fn(Call) -> Performing,
 }
 
-type Run = fn(Call) -> BoxFuture<'static, Result<OperationReply, Problem>>;
+/// Declares a module's operations: each as a constant, and all as `OPERATIONS`. `fingers.rs` is an example.
+///
+/// The doc comment is the summary and the description in the API's documents. `run` is a [`Handler`]; its types are the
+/// parameters and the answer. `problems` is one of `problem_sets.rs`. A GET needs [`Right::Read`], any other operation
+/// [`Right::Operate`], unless `.needs(right)` says otherwise; the further methods of [`Operation`] set other properties.
+///
+/// [`Handler`]: super::handler::Handler
+macro_rules! operations {
+    ($(
+        $(#[doc = $doc:literal])+
+        $constant:ident = $verb:ident $path:literal as $name:literal {
+            run: $run:expr, id: $id:literal, tag: $tag:literal, problems: $problems:ident,
+            answer: $answer:literal $(,)?
+        }$(.$property:ident($($value:expr),*))*;
+    )+) => {
+        $(
+            $(#[doc = $doc])+
+            pub const $constant: $crate::operations::Operation = $crate::operations::operation::Operation {
+                doc: concat!($($doc, "\n"),+),
+                id: $id,
+                tag: $tag,
+                answer: $answer,
+                problems: $crate::operations::problem_sets::$problems,
+                ..$crate::operations::operation::Operation::declared(
+                    &http::Method::$verb,
+                    $path,
+                    $name,
+                    $crate::operations::handler::contract(&$run),
+                    |call| $crate::operations::handler::Handler::start($run, call.with_fields()),
+                )
+            }$(.$property($($value),*))*;
+        )+
+
+        /// The operations of this module.
+        pub(super) const OPERATIONS: &[$crate::operations::Operation] = &[$($constant),+];
+    };
+}
+pub(super) use operations;
 
 impl Operation {
-    /// Declares an operation that only reads.
-    pub(super) const fn read(name: &'static str, path: &'static str, run: Run) -> Self {
-        Self { right: Right::Read, ..Self::change(name, &Verb::GET, path, run) }
-    }
-
-    /// Declares an operation that can change something.
-    pub(super) const fn change(name: &'static str, verb: &'static Verb, path: &'static str, run: Run) -> Self {
+    /// Returns an operation without its texts. Only `operations!` uses it.
+    pub(super) const fn declared(
+        verb: &'static Verb,
+        path: &'static str,
+        name: &'static str,
+        contract: Contract,
+        start: fn(Call) -> Performing,
+    ) -> Self {
+        let right = if matches!(*verb, Verb::GET) { Right::Read } else { Right::Operate };
         Self {
             name,
             verb,
             path,
-            right: Right::Operate,
+            doc: "",
+            id: "",
+            tag: "",
+            answer: "",
+            creates: None,
+            problems: &[],
+            contract,
+            right,
             urgency: Urgency::None,
             ignores_mistakes: false,
             starts_command: false,
             waits: false,
-            query: &[],
             is_compact: false,
+            needs_body: false,
             is_conditional: false,
-            run,
+            start,
         }
     }
 
-    /// Declares an operation that starts a command.
-    pub(super) const fn command(name: &'static str, path: &'static str, run: Run) -> Self {
-        Self { starts_command: true, waits: true, ..Self::change(name, &Verb::POST, path, run) }
-    }
-
+    /// Sets the right that the caller needs.
     pub(super) const fn needs(self, right: Right) -> Self {
         Self { right, ..self }
     }
 
+    /// Starts a command, and can wait for its end.
+    pub(super) const fn command(self) -> Self {
+        Self { starts_command: true, waits: true, ..self }
+    }
+
+    /// Can wait for the end of a command that another request has started.
     pub(super) const fn waiting(self) -> Self {
         Self { waits: true, ..self }
     }
 
-    /// Takes these parameters from the query over HTTP.
-    pub(super) const fn queried(self, query: &'static [&'static str]) -> Self {
-        Self { query, ..self }
+    /// Answers 201 with this description if it created something.
+    pub(super) const fn creating(self, description: &'static str) -> Self {
+        Self { creates: Some(description), ..self }
     }
 
     /// Leaves out headers that only browsers need.
     pub(super) const fn compact(self) -> Self {
         Self { is_compact: true, ..self }
+    }
+
+    /// Needs one or another of its fields.
+    pub(super) const fn with_some_field(self) -> Self {
+        Self { needs_body: true, ..self }
     }
 
     /// Takes the version that an HTTP request expects.
@@ -100,8 +169,10 @@ impl Operation {
         Self { ignores_mistakes: true, ..self }
     }
 
-    pub(super) fn start(&self, call: Call) -> BoxFuture<'static, Result<OperationReply, Problem>> {
-        (self.run)(call)
+    /// Summary: the first line of the doc comment.
+    #[must_use]
+    pub fn summary(&self) -> &'static str {
+        self.doc.lines().next().unwrap_or_default().trim()
     }
 
     /// Whether the operation can change something.
@@ -121,6 +192,15 @@ impl Operation {
         self.path.split('/').filter_map(|part| part.strip_prefix('{')?.strip_suffix('}'))
     }
 
+    /// Names of the parameters besides those in the path.
+    #[must_use]
+    pub fn field_names(&self) -> Vec<String> {
+        match (self.contract.fields)(&mut Vec::new()).1 {
+            RefOr::T(Schema::Object(object)) => object.properties.into_keys().collect(),
+            _ => Vec::new(),
+        }
+    }
+
     /// The operation's `command` in the journal: the last fixed part of its path.
     #[must_use]
     pub fn journal_command(&self) -> &'static str {
@@ -132,16 +212,4 @@ impl Operation {
 #[must_use]
 pub fn journal_command(template: &str) -> &str {
     template.rsplit('/').find(|part| !part.starts_with('{')).unwrap_or_default()
-}
-
-/// Runs an operation's function to its reply.
-pub(super) fn reply<R: IntoReply>(
-    running: impl Future<Output = Result<R, Problem>> + Send + 'static,
-) -> BoxFuture<'static, Result<OperationReply, Problem>> {
-    async move { running.await?.into_reply() }.boxed()
-}
-
-/// Returns the reply of an operation that waits for nothing.
-pub(super) fn ready<R: IntoReply>(result: Result<R, Problem>) -> BoxFuture<'static, Result<OperationReply, Problem>> {
-    std::future::ready(result.and_then(IntoReply::into_reply)).boxed()
 }

@@ -1,10 +1,12 @@
 //! Query parameters of a request. Unknown, repeated and invalid parameters are named in the problem.
 
-use axum::extract::Query as Pairs;
 use http::Uri;
 use jiff::Timestamp;
+use serde::Serialize;
 use serde::de::DeserializeOwned;
-use serde_json::{Map, Value};
+use serde_json::{Map, Value, json};
+use strum::VariantArray;
+use url::form_urlencoded;
 
 use super::problem::Problem;
 use super::values::shortened;
@@ -14,10 +16,8 @@ pub struct QueryString(Vec<(String, String)>);
 
 impl QueryString {
     /// Parses the query of a URI. [`QueryString::only`] checks the names.
-    pub fn of(uri: &Uri) -> Result<Self, Problem> {
-        let Pairs(pairs) =
-            Pairs::try_from_uri(uri).map_err(|error| Problem::malformed("query", format!("invalid query: {error}")))?;
-        Ok(Self(pairs))
+    pub fn of(uri: &Uri) -> Self {
+        Self(form_urlencoded::parse(uri.query().unwrap_or_default().as_bytes()).into_owned().collect())
     }
 
     /// Refuses parameters that are not `known`, since a misspelt filter would have no effect.
@@ -33,9 +33,14 @@ impl QueryString {
     }
 
     /// Returns the parameters of a read as the fields of an object.
-    pub fn fields(&self, names: &[&str]) -> Result<Map<String, Value>, Problem> {
-        let field = |name: &&str| Ok(self.one(name)?.map(|value| ((*name).to_owned(), value.into())));
-        names.iter().filter_map(|name| field(name).transpose()).collect()
+    pub fn fields(&self, names: &[String]) -> Result<Map<String, Value>, Problem> {
+        let mut fields = Map::new();
+        for name in names {
+            if let Some(value) = self.one(name)? {
+                fields.insert(name.clone(), value.into());
+            }
+        }
+        Ok(fields)
     }
 
     /// Returns all parameters as the fields of an object.
@@ -70,9 +75,9 @@ impl QueryString {
     }
 
     /// Parses one of an enumeration's words.
-    pub fn word<T: DeserializeOwned>(&self, name: &str, words: &str) -> Result<Option<T>, Problem> {
+    pub fn word<T: DeserializeOwned + Serialize + VariantArray>(&self, name: &str) -> Result<Option<T>, Problem> {
         let parse = |text: &str| serde_json::from_value(Value::from(text)).ok();
-        self.parsed(name, &format!("one of {words}"), parse)
+        self.parsed(name, &format!("one of {}", words::<T>()), parse)
     }
 
     pub fn time(&self, name: &str) -> Result<Option<Timestamp>, Problem> {
@@ -82,6 +87,12 @@ impl QueryString {
             |text| text.parse().ok(),
         )
     }
+}
+
+/// The words of an enumeration, as an error message lists them.
+pub fn words<T: Serialize + VariantArray>() -> String {
+    let words = T::VARIANTS.iter().map(|word| json!(word).as_str().unwrap_or_default().to_owned());
+    words.collect::<Vec<_>>().join(", ")
 }
 
 fn repeated(name: &str) -> Problem {
@@ -94,7 +105,7 @@ mod tests {
     use super::*;
 
     fn parameters(query: &str) -> QueryString {
-        QueryString::of(&format!("/events?{query}").parse().unwrap()).unwrap()
+        QueryString::of(&format!("/events?{query}").parse().unwrap())
     }
 
     #[test]

@@ -7,18 +7,30 @@ use utoipa::ToSchema;
 use super::call::Call;
 use super::caller::DEFAULT_WAIT_MS;
 use super::commands;
-use super::operation::{Operation, reply};
+use super::operation::operations;
 use super::problem::Problem;
-use super::reply::{Effect, OperationReply};
-use super::values::{TextOrNumber, bytes, integer, request_id_schema};
+use super::reply::OrRunning;
+use super::values::{LeaseField, TextOrNumber, bytes, integer, request_id_schema};
 use crate::access::Right;
-use crate::gripper::model::{Action, CommandId, CommandReport, FastStopId, Motion, Outcome, Phase, Reason};
 use crate::gripper::{FastStop, Handle, Rejection};
+use crate::model::{Action, CommandId, CommandReport, FastStopId, Motion, Outcome, Phase, Reason};
 use crate::wsg::id::MAX_OPAQUE_BYTES;
 use crate::wsg::{self, Status, Updates};
 
-pub const RAW: Operation =
-    Operation::command("raw", "/grippers/{gripper}/raw", |call| reply(raw(call))).needs(Right::Supervise);
+operations! {
+    /// Send a raw request
+    ///
+    /// Ids from the manuals take the same path as the typed operations, with the same checks. 07h, 24h and automatic
+    /// updates are reserved for the gateway and are refused.
+    ///
+    /// Other ids are custom commands. They count as motions and are recorded as motions, unless the configuration lists
+    /// them in `read_ids`. Ids in `stream_ids` are motions that come many times a second: they skip the pause between
+    /// motions, and the journal counts them each second instead of recording every one.
+    RAW = POST "/grippers/{gripper}/raw" as "raw" {
+        run: raw, id: "raw", tag: "device", problems: DEVICE,
+        answer: "The device's reply",
+    }.command().needs(Right::Supervise);
+}
 
 /// A raw request in the device's protocol.
 #[derive(Debug, Deserialize, ToSchema)]
@@ -39,9 +51,7 @@ pub struct Raw {
     exact: bool,
     #[schema(schema_with = request_id_schema)]
     request_id: Option<TextOrNumber>,
-    /// Token of the current lease, if the gripper is leased. At most 64 bytes; empty means none.
-    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
-    lease: Option<String>,
+    lease: Option<LeaseField>,
 }
 
 /// The device's reply to a raw request.
@@ -104,9 +114,9 @@ enum RawPath {
     Exchange(wsg::Command),
 }
 
-async fn raw(call: Call) -> Result<OperationReply, Problem> {
+async fn raw(call: Call<Raw>) -> Result<OrRunning<RawAnswer>, Problem> {
     let (gripper, wait, keys) = (call.gripper()?, call.wait(DEFAULT_WAIT_MS)?, call.keys()?);
-    let body: Raw = call.fields()?;
+    let body = call.fields()?;
     // At most 255, so the cast loses nothing.
     let id = integer("id", body.id, 0..=u64::from(u8::MAX))? as u8;
     let request_id = body.request_id.as_ref().map(ToString::to_string);
@@ -119,7 +129,7 @@ async fn raw(call: Call) -> Result<OperationReply, Problem> {
             let (command, ticket) = commands::submit(gripper, keys, action, &wait).await?;
             match command.phase {
                 Phase::Done => of_command(id, command),
-                Phase::Running => commands::reply_with(&command, ticket),
+                Phase::Running => OrRunning::running(&command, ticket),
             }
         }
         RawPath::FastStop => {
@@ -127,7 +137,7 @@ async fn raw(call: Call) -> Result<OperationReply, Problem> {
                 gripper.handle.fast_stop(FastStopId::generate(), gripper.client, Reason::truncated("raw")).await;
             let status = confirmed.then_some(Status::E_SUCCESS);
             let answer = RawAnswer { fast_stop_id: Some(fast_stop_id), ..RawAnswer::new(name, id, status) };
-            OperationReply::new(&answer, Effect::None)
+            OrRunning::ended(&answer)
         }
         RawPath::Exchange(command) => {
             let gripper = gripper.with_lease(body.lease.as_deref())?;
@@ -143,7 +153,7 @@ async fn raw(call: Call) -> Result<OperationReply, Problem> {
             };
             let payload = hex::encode(payload);
             let answer = RawAnswer { payload, ..RawAnswer::new(name, id, Some(status)) };
-            OperationReply::new(&answer, Effect::None)
+            OrRunning::ended(&answer)
         }
     }
 }
@@ -169,7 +179,7 @@ fn verbatim(id: u8, payload: Vec<u8>) -> Result<wsg::Command, Problem> {
     wsg::VerbatimCommand::new(id, payload).map(wsg::Command::Verbatim).ok_or_else(cannot)
 }
 
-fn of_command(id: u8, command: CommandReport) -> Result<OperationReply, Problem> {
+fn of_command(id: u8, command: CommandReport) -> Result<OrRunning<RawAnswer>, Problem> {
     let answer = RawAnswer {
         status: command.status,
         status_code: command.status_code,
@@ -178,7 +188,7 @@ fn of_command(id: u8, command: CommandReport) -> Result<OperationReply, Problem>
         payload: command.payload.as_deref().unwrap_or_default().to_owned(),
         ..RawAnswer::new(command.gripper.to_string(), id, None)
     };
-    OperationReply::new(&answer, Effect::None)
+    OrRunning::ended(&answer)
 }
 
 fn path(command: wsg::Command, gripper: &Handle) -> Result<RawPath, Problem> {

@@ -5,12 +5,13 @@ use utoipa::ToSchema;
 
 use super::gateway::Gateway;
 use crate::gripper::Recorder as _;
-use crate::gripper::model::{Link, State};
+use crate::model::{Link, State};
 
 /// Readiness of the gateway.
 #[derive(Debug, Serialize, ToSchema)]
 #[schema(example = json!({
-    "gateway": "wsg", "version": "0.2.0", "ready": false, "journal_cause": null, "journal_damage": null, "zenoh_cause": null,
+    "gateway": "wsg", "version": "0.2.0", "ready": false, "journal_cause": null, "journal_damage": null,
+    "journal_restored": null, "zenoh_cause": null,
     "not_ready": ["left: reconnecting: connection refused"], "warnings": []
 }))]
 pub struct Readiness {
@@ -19,7 +20,8 @@ pub struct Readiness {
     gateway: String,
     /// Version of the gateway.
     version: &'static str,
-    /// Whether every gripper is connected or released, the journal is writable and undamaged, and Zenoh is connected as
+    /// Whether every gripper is connected or released, the journal is writable undamaged and not
+    /// a restored copy, and Zenoh is connected as
     /// configured.
     pub ready: bool,
     /// Why the journal can't be written; null while it can.
@@ -29,6 +31,10 @@ pub struct Readiness {
     /// and motions continue.
     #[schema(required)]
     journal_damage: Option<String>,
+    /// How the journal differs from that of the last run, until the alarm `journal_restored` is acknowledged; null if it
+    /// continues that one. Until then, for at most 10 minutes, unknown request ids are refused.
+    #[schema(required)]
+    journal_restored: Option<String>,
     /// Why Zenoh is not connected as configured, or why motions over Zenoh are refused; null if all is well or Zenoh is
     /// off.
     #[schema(required)]
@@ -45,15 +51,30 @@ pub const EXPOSED: &str = "connections are not encrypted (insecure_http): anyone
 impl Readiness {
     pub fn of(own: &Gateway) -> Self {
         let journal = own.journal.health().borrow().clone();
-        let (journal_cause, journal_damage) = (journal.failure, journal.damage);
+        let journal_cause = journal.failure;
+        let journal_damage = journal.damage;
+        let journal_restored = journal.restored;
         let not_ready: Vec<_> =
             own.grippers.all().iter().filter_map(|gripper| why_not_ready(&gripper.state())).collect();
         let zenoh_cause = own.peers.cause().borrow().clone().or_else(|| own.peers.why_no_motions());
-        let ready =
-            journal_cause.is_none() && journal_damage.is_none() && zenoh_cause.is_none() && not_ready.is_empty();
+        let ready = journal_restored.is_none()
+            && journal_cause.is_none()
+            && journal_damage.is_none()
+            && zenoh_cause.is_none()
+            && not_ready.is_empty();
         let (gateway, version) = (own.name.to_string(), env!("CARGO_PKG_VERSION"));
         let warnings = own.access.is_exposed().then(|| EXPOSED.to_owned()).into_iter().collect();
-        Self { gateway, version, ready, journal_cause, journal_damage, zenoh_cause, not_ready, warnings }
+        Self {
+            gateway,
+            version,
+            ready,
+            journal_cause,
+            journal_damage,
+            journal_restored,
+            zenoh_cause,
+            not_ready,
+            warnings,
+        }
     }
 }
 

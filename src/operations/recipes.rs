@@ -3,32 +3,68 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use http::Method as Verb;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 use utoipa::openapi::schema::OneOfBuilder;
 
 use super::call::{Call, NoFields};
 use super::durable::{check_journal, durable};
-use super::operation::{Operation, ready, reply};
+use super::operation::operations;
 use super::problem::Problem;
 use super::reply::{Json, Versioned};
 use super::values::{TextOrNumber, integer, part_id, shortened, text, text_or_number};
 use crate::gripper::limits::{FASTEST_MM_S, STRONGEST_N, WIDEST_MM};
-use crate::gripper::model::{Code, Name, PartId, Recipe, RecipeDescription, RecipeNumber, RecipeValues};
+use crate::model::{Code, Name, PartId, Recipe, RecipeDescription, RecipeNumber, RecipeValues};
 use crate::recipes::{ExpectedVersion, RecipeChange, RecipeConflict, RecipeVersion};
 
-const PATH: &str = "/recipes/{part_id}";
+operations! {
+    /// List the recipes
+    LIST = GET "/recipes" as "recipes" {
+        run: list, id: "recipes", tag: "recipes", problems: JOURNAL,
+        answer: "The recipes, by number",
+    };
 
-pub const LIST: Operation = Operation::read("recipes", "/recipes", |call| ready(list(&call)));
-pub const SET_SEVERAL: Operation =
-    Operation::change("recipes.set", &Verb::PUT, "/recipes", |call| reply(set_several(call))).conditional();
-pub const GET: Operation = Operation::read("recipe", PATH, |call| ready(get(&call)));
-pub const VERSIONS: Operation =
-    Operation::read("recipe.versions", "/recipes/{part_id}/versions", |call| ready(versions(&call)));
-pub const SET: Operation = Operation::change("recipe.set", &Verb::PUT, PATH, |call| reply(set(call))).conditional();
-pub const REMOVE: Operation =
-    Operation::change("recipe.remove", &Verb::DELETE, PATH, |call| reply(remove(call))).conditional();
+    /// Set several recipes
+    ///
+    /// Creates or changes recipes: all of them, or none if one is refused. Recipes of other parts stay as they are. Two
+    /// recipes can swap their numbers in one request.
+    SET_SEVERAL = PUT "/recipes" as "recipes.set" {
+        run: set_several, id: "set_recipes", tag: "recipes", problems: RECIPE,
+        answer: "The recipes as they are now",
+    }.conditional();
+
+    /// Get a recipe
+    GET = GET "/recipes/{part_id}" as "recipe" {
+        run: get, id: "recipe", tag: "recipes", problems: JOURNAL,
+        answer: "The recipe",
+    };
+
+    /// List the versions of a recipe
+    ///
+    /// Lists the versions of a part's recipe. The gateway keeps the newest 1,000 versions of all recipes, and every current
+    /// one.
+    VERSIONS = GET "/recipes/{part_id}/versions" as "recipe.versions" {
+        run: versions, id: "recipe_versions", tag: "recipes", problems: JOURNAL,
+        answer: "The versions, the newest first",
+    };
+
+    /// Set a recipe
+    ///
+    /// Creates or replaces the recipe of a part. A change gets a new version, which the records of later grips name.
+    /// Setting a recipe to its current values creates no new version.
+    SET = PUT "/recipes/{part_id}" as "recipe.set" {
+        run: set, id: "set_recipe", tag: "recipes", problems: RECIPE,
+        answer: "The changed recipe",
+    }.conditional().creating("The new recipe");
+
+    /// Remove a recipe
+    ///
+    /// Removes the recipe of a part. Its versions stay listed while they are among the newest 1,000 of all recipes.
+    REMOVE = DELETE "/recipes/{part_id}" as "recipe.remove" {
+        run: remove, id: "remove_recipe", tag: "recipes", problems: RECIPE,
+        answer: "The removal",
+    }.conditional();
+}
 
 /// Problem of a refused change.
 const UNCHANGED: &str = "no recipe was changed";
@@ -131,24 +167,24 @@ pub struct RemoveRecipe {
     if_version: Option<f64>,
 }
 
-fn list(call: &Call) -> Result<Json<RecipeList>, Problem> {
+fn list(call: &Call<NoFields>) -> Result<Json<RecipeList>, Problem> {
     let NoFields {} = call.fields()?;
     Ok(Json(RecipeList { recipes: call.gateway.recipes.all() }))
 }
 
-fn get(call: &Call) -> Result<Versioned<Arc<RecipeVersion>>, Problem> {
+fn get(call: &Call<NoFields>) -> Result<Versioned<RecipeVersion>, Problem> {
     let NoFields {} = call.fields()?;
     let found = call.gateway.recipes.of_part(&call.part_id()?).ok_or_else(no_recipe)?;
     Ok(Versioned { version: found.version, is_new: false, result: found })
 }
 
-fn versions(call: &Call) -> Result<Json<RecipeVersions>, Problem> {
+fn versions(call: &Call<NoFields>) -> Result<Json<RecipeVersions>, Problem> {
     let NoFields {} = call.fields()?;
     let versions = call.gateway.recipes.versions(&call.part_id()?);
     if versions.is_empty() { Err(no_recipe()) } else { Ok(Json(RecipeVersions { versions })) }
 }
 
-async fn set(call: Call) -> Result<Versioned<Arc<RecipeVersion>>, Problem> {
+async fn set(call: Call<SetRecipe>) -> Result<Versioned<RecipeVersion>, Problem> {
     let (part_id, given): (_, SetRecipe) = (call.part_id()?, call.fields()?);
     if given.part_id.as_ref().is_some_and(|other| other.to_string() != part_id.as_str()) {
         return Err(Problem::malformed("part_id", "part_id differs from the part in the path"));
@@ -160,7 +196,7 @@ async fn set(call: Call) -> Result<Versioned<Arc<RecipeVersion>>, Problem> {
     Ok(Versioned { version: set.version, is_new, result: set })
 }
 
-async fn set_several(call: Call) -> Result<Json<RecipeList>, Problem> {
+async fn set_several(call: Call<SetRecipes>) -> Result<Json<RecipeList>, Problem> {
     let SetRecipes { recipes: given } = call.fields()?;
     if call.params.expected != ExpectedVersion::Any {
         let detail = "If-Match and If-None-Match need a single recipe: use if_version in each recipe of the list";
@@ -184,24 +220,35 @@ async fn set_several(call: Call) -> Result<Json<RecipeList>, Problem> {
     Ok(Json(RecipeList { recipes: change(&call, recipes).await?.0 }))
 }
 
-async fn remove(call: Call) -> Result<Versioned<Arc<RecipeVersion>>, Problem> {
+async fn remove(call: Call<RemoveRecipe>) -> Result<Versioned<RecipeVersion>, Problem> {
     let (part_id, RemoveRecipe { if_version }) = (call.part_id()?, call.fields()?);
     let expected = expected(&call, if_version)?;
-    check_journal(&call, UNCHANGED)?;
+    check_change(&call)?;
     let removed = call.gateway.recipes.remove(&part_id, expected, &call.caller.client)?.ok_or_else(no_recipe)?;
     let removed = saved(removed).await?.pop().ok_or_else(Problem::internal)?;
     Ok(Versioned { version: removed.version, is_new: false, result: removed })
 }
 
 /// Sets recipes, and returns their versions, and whether one is new.
-async fn change(
-    call: &Call,
+async fn change<P>(
+    call: &Call<P>,
     recipes: Vec<(Recipe, ExpectedVersion)>,
 ) -> Result<(Vec<Arc<RecipeVersion>>, bool), Problem> {
-    check_journal(call, UNCHANGED)?;
+    check_change(call)?;
     let change = call.gateway.recipes.set(recipes, &call.caller.client)?;
     let has_new_recipe = change.has_new_recipe;
     Ok((saved(change).await?, has_new_recipe))
+}
+
+/// Refuses a change that would not become durable, or that exceeds its client's rate.
+fn check_change<P>(call: &Call<P>) -> Result<(), Problem> {
+    check_journal(call, UNCHANGED)?;
+    if call.gateway.journal.allows_change(&call.caller.client) {
+        return Ok(());
+    }
+    let detail = "this client changes recipes faster than the journal may grow: no recipe was changed; wait a second for \
+                  each further one";
+    Err(Problem::new(Code::Overloaded, detail))
 }
 
 /// Returns the versions of a change once it is durable.
@@ -227,7 +274,7 @@ fn version_expected(field: &str, if_version: Option<f64>) -> Result<ExpectedVers
 }
 
 /// Returns the version that a change expects, which a client can send in a header or among the parameters.
-fn expected(call: &Call, if_version: Option<f64>) -> Result<ExpectedVersion, Problem> {
+fn expected<P>(call: &Call<P>, if_version: Option<f64>) -> Result<ExpectedVersion, Problem> {
     match (call.params.expected, version_expected(IF_VERSION, if_version)?) {
         (ExpectedVersion::Any, among) => Ok(among),
         (alongside, ExpectedVersion::Any) => Ok(alongside),

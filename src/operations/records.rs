@@ -4,6 +4,7 @@ use http::Uri;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::value::{RawValue, to_raw_value};
+use strum::{EnumMessage, VariantArray};
 use utoipa::ToSchema;
 use uuid::Uuid;
 
@@ -12,15 +13,9 @@ use super::problem::Problem;
 use super::query_string::QueryString;
 use super::values::{integer, text};
 use crate::fleet::{EVENTS, GRIPS};
-use crate::gripper::model::{Code, Event, GripRecord, Kind};
 use crate::journal::{Cursor, EventKind, Filter, Limit, Page, Query};
+use crate::model::{Code, Event, GripRecord, Kind};
 
-/// Kinds of events, as listed in problems.
-const EVENT_KINDS: &str = "command, fast_stop, acknowledge, lease, link, device, settings, refused, gateway, \
-                           alarm, recipe";
-const GRIP_KINDS: &str = "all, home, move, grip, release, reference";
-const OUTCOMES: &str = "SUCCESS, PART_HELD, NO_PART, BLOCKED, ABORTED, RANGE, TIMEOUT, FAILED, REFUSED, UNKNOWN, \
-                        WRONG_PART";
 /// Digits of the largest accepted cursor, beyond the events that any journal will have.
 const MAX_CURSOR_DIGITS: usize = 18;
 
@@ -34,23 +29,22 @@ pub enum RecordList {
     Grips,
 }
 
-/// Kinds of grip records:
-///
-/// - `all`: every kind
-/// - `home`: homings
-/// - `move`: moves
-/// - `grip`: grips
-/// - `release`: releases
-/// - `reference`: reference grips, on gauges
-#[derive(Debug, Clone, Copy, Default, Deserialize, ToSchema)]
+/// Kinds of grip records.
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize, ToSchema, EnumMessage, VariantArray)]
 #[serde(rename_all = "lowercase")]
 pub enum GripKinds {
+    /// Every kind.
     All,
+    /// Homings.
     Home,
+    /// Moves.
     Move,
+    /// Grips.
     #[default]
     Grip,
+    /// Releases.
     Release,
+    /// Reference grips, on gauges.
     Reference,
 }
 
@@ -132,7 +126,7 @@ impl RecordList {
 
     /// Reads a page that another gateway can forward: it has at most 100 records.
     pub async fn short_page(self, gateway: &Gateway, uri: &Uri) -> Result<Page, Problem> {
-        let limit = QueryString::of(uri)?.parsed("limit", "a whole number", |text| text.parse::<f64>().ok())?;
+        let limit = QueryString::of(uri).parsed("limit", "a whole number", |text| text.parse::<f64>().ok())?;
         match limit.filter(|limit| *limit > MAX_SHORT) {
             Some(limit) => Err(Problem::out_of_range("limit", limit, 1.0, MAX_SHORT)),
             None => self.page(gateway, uri).await,
@@ -143,12 +137,10 @@ impl RecordList {
     pub async fn page(self, gateway: &Gateway, uri: &Uri) -> Result<Page, Problem> {
         let journal = &gateway.journal;
         Ok(match self {
-            Self::Events => {
-                journal.events(query(uri, EVENT_KINDS, &["command_id"], |kind: Option<EventKind>| kind)?).await?
-            }
+            Self::Events => journal.events(query(uri, &["command_id"], |kind: Option<EventKind>| kind)?).await?,
             Self::Grips => {
                 let kind = |kinds: Option<GripKinds>| -> Option<Kind> { kinds.unwrap_or_default().into() };
-                journal.grips(query(uri, GRIP_KINDS, &[], kind)?).await?
+                journal.grips(query(uri, &[], kind)?).await?
             }
         })
     }
@@ -166,14 +158,13 @@ impl RecordList {
 }
 
 /// Parses a request's query. `kind` maps the word that it gives to the kind of the records.
-fn query<W: DeserializeOwned, K>(
+fn query<W: DeserializeOwned + Serialize + VariantArray, K>(
     uri: &Uri,
-    kinds: &str,
     more: &[&str],
     kind: fn(Option<W>) -> Option<K>,
 ) -> Result<Query<K>, Problem> {
     let known = ["gripper", "kind", "part_id", "part_prefix", "outcome", "from", "to", "limit", "cursor", "order"];
-    let given = QueryString::of(uri)?.only(&[&known, more].concat())?;
+    let given = QueryString::of(uri).only(&[&known, more].concat())?;
     let limit = match given.parsed("limit", "a whole number", |text| text.parse::<f64>().ok())? {
         // `integer` has checked the range, so `Limit::new` succeeds.
         Some(number) => Limit::new(integer("limit", number, 1..=1000)?).unwrap_or_default(),
@@ -183,17 +174,17 @@ fn query<W: DeserializeOwned, K>(
     Ok(Query {
         filter: Filter {
             gripper: given.parsed("gripper", "a gripper's name", |text| text.parse().ok())?,
-            kind: kind(given.word("kind", kinds)?),
+            kind: kind(given.word("kind")?),
             part_id: part("part_id")?,
             part_prefix: part("part_prefix")?,
-            outcome: given.word("outcome", OUTCOMES)?,
+            outcome: given.word("outcome")?,
             command_id: given.parsed("command_id", "a command's id, a UUID", |text| text.parse().ok())?,
         },
         from: given.time("from")?,
         to: given.time("to")?,
         limit,
         cursor: given.parsed("cursor", "next_cursor of the previous page", cursor)?,
-        order: given.word("order", "newest, oldest")?.unwrap_or_default(),
+        order: given.word("order")?.unwrap_or_default(),
     })
 }
 

@@ -1,20 +1,28 @@
 //! Reading the configuration again, without a restart.
 
-use http::Method as Verb;
 use serde::Serialize;
 use tokio::sync::oneshot;
 use utoipa::ToSchema;
 
 use super::call::{Call, NoFields};
-use super::operation::{Operation, reply};
+use super::operation::operations;
 use super::problem::Problem;
 use super::reload_requests::ReloadRequest;
 use super::reply::Json;
 use crate::access::Right;
-use crate::gripper::model::Code;
+use crate::model::Code;
 
-pub const RELOAD: Operation =
-    Operation::change("reload", &Verb::POST, "/reload", |call| reply(reload(call))).needs(Right::Supervise);
+operations! {
+    /// Reload the configuration
+    ///
+    /// Reads the configuration file again and applies what has changed: grippers, WSG ports, the address, credentials,
+    /// certificates and limits. Grippers with the same configuration are not touched. If anything cannot be used,
+    /// nothing changes.
+    RELOAD = POST "/reload" as "reload" {
+        run: reload, id: "reload", tag: "gateway", problems: RELOAD,
+        answer: "The new configuration is in use",
+    }.needs(Right::Supervise);
+}
 
 /// Result of a reload.
 #[derive(Debug, Serialize, ToSchema)]
@@ -24,7 +32,7 @@ pub struct Reloaded {
     changes: Vec<String>,
 }
 
-async fn reload(call: Call) -> Result<Json<Reloaded>, Problem> {
+async fn reload(call: Call<NoFields>) -> Result<Json<Reloaded>, Problem> {
     let NoFields {} = call.fields()?;
     let (answer, answered) = oneshot::channel();
     let request = ReloadRequest { client: call.caller.client.clone(), answer };

@@ -3,7 +3,7 @@
 use tokio::sync::mpsc::error::TrySendError;
 use tokio::sync::{mpsc, oneshot};
 
-use crate::gripper::model::Client;
+use crate::model::Client;
 
 /// Reloads that can wait.
 const MAX_WAITING: usize = 4;

@@ -6,7 +6,7 @@ use super::call::Call;
 use super::problem::Problem;
 use super::recipes::MAX_VERSION;
 use super::values::{TextOrNumber, integer, text};
-use crate::gripper::model::{AppliedRecipe, Code, PartId, RecipeNumber, RecipeValues};
+use crate::model::{AppliedRecipe, Code, PartId, RecipeNumber, RecipeValues};
 use crate::recipes::RecipeVersion;
 
 /// The part of a request, and its recipe, if it has one.
@@ -25,8 +25,8 @@ impl RequestedRecipe {
     ///
     /// # Errors
     /// A problem if a value is invalid, if the number is unknown, or if the recipe has another version.
-    pub fn of(
-        call: &Call,
+    pub fn of<P>(
+        call: &Call<P>,
         number: Option<f64>,
         version: Option<f64>,
         part_id: Option<TextOrNumber>,

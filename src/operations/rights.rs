@@ -2,7 +2,7 @@
 
 use super::problem::Problem;
 use crate::access::{Access, Identity, Right, Unauthorized};
-use crate::gripper::model::{Code, Name};
+use crate::model::{Code, Name};
 
 /// Checks that a caller has the right to an operation of a gripper, or of all grippers.
 ///

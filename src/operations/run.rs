@@ -7,7 +7,6 @@ use std::sync::Arc;
 use futures_util::FutureExt as _;
 use serde::Deserialize as _;
 use serde_json::{Map, Value};
-use tracing::Instrument as _;
 
 use super::audit::RefusedRequest;
 use super::call::{Call, Fields, PART_ID, Params};
@@ -18,10 +17,10 @@ use super::operation::Operation;
 use super::problem::Problem;
 use super::reply::OperationReply;
 use super::rights::check;
-use super::table::{is_fast_stop, named};
-use super::values::{TextOrNumber, shortened};
+use super::table::Method;
+use super::values::TextOrNumber;
 use crate::access::{Access, Identity, Unauthorized};
-use crate::gripper::model::{Code, Urgency};
+use crate::model::{Code, Urgency};
 
 /// Notes that a browser's session is used, which keeps it and its PIN from expiring.
 pub fn note_use(access: &Access, operation: &Operation, identity: &Result<Identity, Unauthorized>) {
@@ -34,8 +33,8 @@ pub fn note_use(access: &Access, operation: &Operation, identity: &Result<Identi
 
 /// Runs an operation for a caller, and records a refusal.
 ///
-/// A FAST STOP runs to its end even if its caller is gone. The answer to a client that is refused continually is
-/// delayed, unless the operation is urgent.
+/// The answer to a client that is refused continually is delayed, unless the operation is urgent. An operation ends with
+/// its caller: an interface that can lose its client spawns what stops fingers.
 ///
 /// # Errors
 /// The problem for the caller.
@@ -50,17 +49,11 @@ pub async fn run(
     let running = match allowed.map_err(|problem| missing_gripper(gateway, &params, &problem).unwrap_or(problem)) {
         Ok(()) => {
             note_use(&gateway.access, operation, &caller.identity);
-            operation.start(Call { gateway: gateway.clone(), caller, params })
+            (operation.start)(Call::new(gateway.clone(), caller, params))
         }
         Err(problem) => ready(Err(problem)).boxed(),
     };
-    let running = AssertUnwindSafe(running).catch_unwind();
-    let ended = if operation.urgency == Urgency::FastStop {
-        tokio::spawn(running.in_current_span()).await.unwrap_or_else(|error| Err(Box::new(error)))
-    } else {
-        running.await
-    };
-    let mut result = ended.unwrap_or_else(|_| {
+    let mut result = AssertUnwindSafe(running).catch_unwind().await.unwrap_or_else(|_| {
         tracing::error!(operation = operation.name, "operation panicked");
         Err(Problem::internal())
     });
@@ -88,7 +81,7 @@ fn missing_gripper(gateway: &Gateway, params: &Params, problem: &Problem) -> Opt
     (!exists).then(|| gateway.no_gripper(name, true))
 }
 
-/// Runs the operation with this name. A FAST STOP with wrong parameters stops all grippers, since the intended one is
+/// Runs the operation of a method whose path parameters are given. A FAST STOP with wrong parameters stops all grippers, since the intended one is
 /// among them.
 ///
 /// # Errors
@@ -96,48 +89,51 @@ fn missing_gripper(gateway: &Gateway, params: &Params, problem: &Problem) -> Opt
 pub async fn call(
     gateway: &Arc<Gateway>,
     caller: Caller,
-    name: &str,
+    method: Method,
     params: Value,
 ) -> Result<OperationReply, Problem> {
-    if !is_fast_stop(name) {
-        let (operation, params) = resolve(name, params)?;
+    if !method.is_fast_stop() {
+        let (operation, params) = resolve(method, params)?;
         return run(gateway, operation, caller, params).await;
     }
     let reason = params.get("reason").cloned().unwrap_or_default();
-    let result = match resolve(name, params) {
+    let result = match resolve(method, params) {
         Ok((operation, params)) => run(gateway, operation, caller.clone(), params).await,
         Err(problem) => Err(problem),
     };
     let Err(_) = result else { return result };
-    let operation = named(name).find(|operation| operation.path_parameters().next().is_none());
+    let operation = method.operations().find(|operation| operation.path_parameters().next().is_none());
     let fields = Fields::Object(Map::from_iter([("reason".to_owned(), reason)]));
     run(gateway, operation.unwrap_or(&fast_stop::ALL), caller, Params { fields, ..Params::default() }).await
 }
 
-/// Finds the operation with this name, and splits the parameters into path and fields. The first operation whose
-/// path parameters are all given is chosen.
-fn resolve(name: &str, params: Value) -> Result<(&'static Operation, Params), Problem> {
-    let first = named(name).next().ok_or_else(|| Problem::not_found(format!("method {:?}", shortened(name))))?;
+/// Finds the operation of a method, and splits the parameters into path and fields. The first operation whose path
+/// parameters are all given is chosen.
+fn resolve(method: Method, params: Value) -> Result<(&'static Operation, Params), Problem> {
     let mut object = match params {
         Value::Object(object) => object,
         Value::Null => Map::new(),
-        _ if is_fast_stop(name) => Map::new(),
+        _ if method.is_fast_stop() => Map::new(),
         _ => return Err(Problem::malformed("params", "params must be an object, not an array or a single value")),
     };
-    let has_all = |operation: &&Operation| operation.path_parameters().all(|key| object.contains_key(key));
-    let operation = named(name).find(has_all).unwrap_or(first);
+    let operation = method.operations().find(|operation| is_addressed(operation, &object)).unwrap_or(method.shared());
     let part = |key| Ok((key, path_part(key, object.remove(key))?));
     let path = operation.path_parameters().map(part).collect::<Result<_, Problem>>()?;
     Ok((operation, Params { path, fields: Fields::Object(object), ..Params::default() }))
 }
 
+/// Whether the parameters have all parts of an operation's path.
+fn is_addressed(operation: &Operation, object: &Map<String, Value>) -> bool {
+    operation.path_parameters().all(|key| object.get(key).is_some_and(|value| !value.is_null()))
+}
+
 /// Returns a path parameter. A value that cannot be a name is reported as not found; parts can have any name.
 fn path_part(key: &str, value: Option<Value>) -> Result<String, Problem> {
     let part = match value {
-        Some(value) => TextOrNumber::deserialize(value)
+        Some(value) if !value.is_null() => TextOrNumber::deserialize(value)
             .map_err(|_| Problem::malformed(key, format!("{key} must be a string or a whole number")))?
             .to_string(),
-        None => return Err(Problem::malformed(key, format!("{key} is missing"))),
+        _ => return Err(Problem::malformed(key, format!("{key} is missing"))),
     };
     let is_name = |byte: u8| byte.is_ascii_alphanumeric() || matches!(byte, b'-' | b'_');
     if key != PART_ID && (part.is_empty() || !part.bytes().all(is_name)) {
@@ -153,15 +149,17 @@ mod tests {
     use super::*;
     use crate::access::{Role, Scope};
     use crate::gripper::fake::{self, FakeScript};
-    use crate::gripper::model::{Client, Door};
+    use crate::model::{Client, Door};
+    use crate::operations::{grippers, motion};
 
     fn resolved(name: &str, params: Value) -> (&'static str, Params) {
-        let (operation, params) = resolve(name, params).unwrap();
+        let (operation, params) = resolve(Method::named(name).unwrap(), params).unwrap();
         (operation.path, params)
     }
 
     fn refused(name: &str, params: Value) -> Value {
-        serde_json::to_value(resolve(name, params).unwrap_err().members()).unwrap()
+        let resolved = Method::named(name).and_then(|method| resolve(method, params));
+        serde_json::to_value(resolved.unwrap_err().members()).unwrap()
     }
 
     #[test]
@@ -176,7 +174,9 @@ mod tests {
     #[test]
     fn fast_stop_without_gripper_stops_all() {
         assert_eq!(resolved("fast-stop", json!({"gripper": "left"})).0, "/grippers/{gripper}/fast-stop");
-        for params in [json!({}), Value::Null, json!([1, 2]), json!("now"), json!({"reason": 7})] {
+        for params in
+            [json!({}), Value::Null, json!([1, 2]), json!("now"), json!({"reason": 7}), json!({"gripper": null})]
+        {
             assert_eq!(resolved("fast-stop", params).0, "/fast-stop");
         }
     }
@@ -184,11 +184,13 @@ mod tests {
     #[test]
     fn missing_or_invalid_path_parameter_is_named() {
         assert_eq!(refused("grip", json!({"width_mm": 20}))["field"], "gripper");
+        assert_eq!(refused("grip", json!({"gripper": null}))["detail"], "gripper is missing");
         assert_eq!(refused("grip", json!(["left", 20]))["field"], "params");
         for name in ["", "../left", "left/grip", "left?x=1", "l\u{f6}ft"] {
             assert_eq!(refused("state", json!({"gripper": name}))["code"], "not_found", "{name}");
         }
-        assert_eq!(refused("leap", json!({}))["code"], "not_found");
+        assert_eq!(refused("xyz", json!({}))["detail"], "no method \"xyz\"");
+        assert_eq!(refused("grasp", json!({}))["detail"], "no method \"grasp\": did you mean grip?");
     }
 
     #[tokio::test]
@@ -199,7 +201,8 @@ mod tests {
             .map(|role| Ok(Identity { role, scope: scope.clone(), ..Identity::anyone() }));
         let refused = async |identity: &Result<Identity, Unauthorized>, name: &str, gripper: &str| {
             let caller = Caller::new(Client::new("test", Door::Http), identity.clone());
-            let problem = call(&gateway, caller, name, json!({"gripper": gripper})).await.unwrap_err();
+            let problem =
+                call(&gateway, caller, Method::named(name).unwrap(), json!({"gripper": gripper})).await.unwrap_err();
             (problem.code(), problem.detail().to_owned())
         };
         let missing = (Code::NotFound, "no gripper is named lefft: this gateway has left".to_owned());
@@ -216,7 +219,18 @@ mod tests {
         let gateway = Gateway::of([fake::gripper("left", FakeScript::default()).0]);
         let caller = Caller::new(Client::new("test", Door::Ws), Ok(Identity::anyone()));
         let params = json!({"gripper": "left", "width_mm": 20});
-        let problem = call(&gateway, caller, "state", params).await.unwrap_err();
+        let problem = call(&gateway, caller, Method::from(&grippers::STATE), params).await.unwrap_err();
         assert_eq!(serde_json::to_value(problem.members()).unwrap()["field"], "width_mm");
+    }
+
+    #[tokio::test]
+    async fn null_field_counts_as_absent() {
+        let gateway = Gateway::of([fake::gripper("left", FakeScript::default()).0]);
+        let caller = Caller::new(Client::new("test", Door::Ws), Ok(Identity::anyone()));
+        let params = json!({"gripper": "left", "direction": null, "request_id": null, "lease": null});
+        let home = Method::from(&motion::HOME);
+        assert!(call(&gateway, caller.clone(), home, params).await.is_ok());
+        let problem = call(&gateway, caller, home, json!({"gripper": "left", "way": null})).await.unwrap_err();
+        assert_eq!(problem.detail(), "unknown field way; known: direction, request_id, lease");
     }
 }

@@ -1,47 +1,95 @@
 //! The device's settings. Each has one shape for reading and writing. A write returns the value that the device
 //! applied, since the device clamps values beyond its limits.
 
-use http::Method as Verb;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::call::{Call, Gripper, NoFields};
+use super::call::{Call, Gripper, Leased, NoFields};
 use super::device::{ask, only};
-use super::operation::{Operation, ready, reply};
+use super::operation::operations;
 use super::problem::Problem;
 use super::reply::Json;
-use super::values::{acceleration, force, width};
-use crate::gripper::model::Code;
+use super::values::{LeaseField, acceleration, force, width};
 use crate::gripper::{Failure, Now, Rejection};
+use crate::model::Code;
 use crate::wsg::{self, Data, DeviceTag, InvalidDeviceTag, SoftLimits, Status, SystemState};
 
-const ACCELERATION: &str = "/grippers/{gripper}/settings/acceleration";
-const FORCE_LIMIT: &str = "/grippers/{gripper}/settings/force-limit";
-const SOFT_LIMITS: &str = "/grippers/{gripper}/settings/soft-limits";
-const OVERDRIVE: &str = "/grippers/{gripper}/settings/overdrive";
-const DEVICE_TAG: &str = "/grippers/{gripper}/settings/device-tag";
+operations! {
+    /// Get the acceleration
+    GET_ACCELERATION = GET "/grippers/{gripper}/settings/acceleration" as "settings.acceleration" {
+        run: get_acceleration, id: "get_acceleration", tag: "settings", problems: DEVICE,
+        answer: "The acceleration",
+    };
 
-pub const GET_ACCELERATION: Operation =
-    Operation::read("settings.acceleration", ACCELERATION, |call| reply(get_acceleration(call)));
-pub const SET_ACCELERATION: Operation =
-    Operation::change("settings.acceleration.set", &Verb::PUT, ACCELERATION, |call| reply(set_acceleration(call)));
-pub const GET_FORCE_LIMIT: Operation =
-    Operation::read("settings.force-limit", FORCE_LIMIT, |call| reply(get_force_limit(call)));
-pub const SET_FORCE_LIMIT: Operation =
-    Operation::change("settings.force-limit.set", &Verb::PUT, FORCE_LIMIT, |call| reply(set_force_limit(call)));
-pub const GET_SOFT_LIMITS: Operation =
-    Operation::read("settings.soft-limits", SOFT_LIMITS, |call| reply(get_soft_limits(call)));
-pub const SET_SOFT_LIMITS: Operation =
-    Operation::change("settings.soft-limits.set", &Verb::PUT, SOFT_LIMITS, |call| reply(set_soft_limits(call)));
-pub const CLEAR_SOFT_LIMITS: Operation =
-    Operation::change("settings.soft-limits.clear", &Verb::DELETE, SOFT_LIMITS, |call| reply(clear_soft_limits(call)));
-pub const GET_OVERDRIVE: Operation =
-    Operation::read("settings.overdrive", OVERDRIVE, |call| ready(get_overdrive(&call)));
-pub const SET_OVERDRIVE: Operation =
-    Operation::change("settings.overdrive.set", &Verb::PUT, OVERDRIVE, |call| reply(set_overdrive(call)));
-pub const GET_TAG: Operation = Operation::read("settings.device-tag", DEVICE_TAG, |call| reply(get_tag(call)));
-pub const SET_TAG: Operation =
-    Operation::change("settings.device-tag.set", &Verb::PUT, DEVICE_TAG, |call| reply(set_tag(call)));
+    /// Set the acceleration
+    SET_ACCELERATION = PUT "/grippers/{gripper}/settings/acceleration" as "settings.acceleration.set" {
+        run: set_acceleration, id: "set_acceleration", tag: "settings", problems: DEVICE,
+        answer: "The acceleration now in use",
+    };
+
+    /// Get the force limit
+    GET_FORCE_LIMIT = GET "/grippers/{gripper}/settings/force-limit" as "settings.force-limit" {
+        run: get_force_limit, id: "get_force_limit", tag: "settings", problems: DEVICE,
+        answer: "The force limit",
+    };
+
+    /// Set the force limit
+    SET_FORCE_LIMIT = PUT "/grippers/{gripper}/settings/force-limit" as "settings.force-limit.set" {
+        run: set_force_limit, id: "set_force_limit", tag: "settings", problems: DEVICE,
+        answer: "The force limit now in use",
+    };
+
+    /// Get the soft limits
+    GET_SOFT_LIMITS = GET "/grippers/{gripper}/settings/soft-limits" as "settings.soft-limits" {
+        run: get_soft_limits, id: "get_soft_limits", tag: "settings", problems: DEVICE,
+        answer: "The soft limits; null if none are set",
+    };
+
+    /// Set the soft limits
+    ///
+    /// Forbids widths outside the soft limits. A motion to a forbidden width is refused, and fingers that reach a
+    /// forbidden width are stopped by a FAST STOP.
+    SET_SOFT_LIMITS = PUT "/grippers/{gripper}/settings/soft-limits" as "settings.soft-limits.set" {
+        run: set_soft_limits, id: "set_soft_limits", tag: "settings", problems: DEVICE,
+        answer: "The soft limits now in use",
+    };
+
+    /// Clear the soft limits
+    CLEAR_SOFT_LIMITS = DELETE "/grippers/{gripper}/settings/soft-limits" as "settings.soft-limits.clear" {
+        run: clear_soft_limits, id: "clear_soft_limits", tag: "settings", problems: DEVICE,
+        answer: "The soft limits are cleared",
+    };
+
+    /// Get Overdrive Mode
+    GET_OVERDRIVE = GET "/grippers/{gripper}/settings/overdrive" as "settings.overdrive" {
+        run: get_overdrive, id: "get_overdrive", tag: "settings", problems: DEVICE,
+        answer: "Whether Overdrive Mode is on",
+    };
+
+    /// Switch Overdrive Mode
+    ///
+    /// Switching off reduces a force limit above the nominal force to the nominal force. Not every model has Overdrive
+    /// Mode.
+    SET_OVERDRIVE = PUT "/grippers/{gripper}/settings/overdrive" as "settings.overdrive.set" {
+        run: set_overdrive, id: "set_overdrive", tag: "settings", problems: DEVICE,
+        answer: "Overdrive Mode as now set",
+    };
+
+    /// Get the device tag
+    GET_TAG = GET "/grippers/{gripper}/settings/device-tag" as "settings.device-tag" {
+        run: get_tag, id: "get_device_tag", tag: "settings", problems: DEVICE,
+        answer: "The device tag; null if none is set",
+    };
+
+    /// Set the device tag
+    ///
+    /// Each write wears the device's flash memory. The gateway therefore accepts one write a second from all clients
+    /// together and refuses more with 429. A tag that the device is known to have is not written again.
+    SET_TAG = PUT "/grippers/{gripper}/settings/device-tag" as "settings.device-tag.set" {
+        run: set_tag, id: "set_device_tag", tag: "settings", problems: DEVICE,
+        answer: "The device tag now stored",
+    };
+}
 
 type SettingResult<T> = Result<Json<T>, Problem>;
 
@@ -73,9 +121,7 @@ pub struct AccelerationSetting {
     /// Acceleration in mm/s².
     #[schema(minimum = 0, maximum = 1_000_000)]
     acceleration_mm_s2: f64,
-    /// Token of the current lease, if the gripper is leased. At most 64 bytes; empty means none.
-    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
-    lease: Option<String>,
+    lease: Option<LeaseField>,
 }
 
 async fn exchange_acceleration(gripper: Gripper, command: wsg::Command) -> SettingResult<AccelerationAnswer> {
@@ -83,12 +129,12 @@ async fn exchange_acceleration(gripper: Gripper, command: wsg::Command) -> Setti
     Ok(Json(AccelerationAnswer { gripper: gripper.name(), acceleration_mm_s2: value.mm_s2() }))
 }
 
-async fn get_acceleration(call: Call) -> SettingResult<AccelerationAnswer> {
+async fn get_acceleration(call: Call<NoFields>) -> SettingResult<AccelerationAnswer> {
     let (gripper, NoFields {}) = call.gripper_and_fields()?;
     exchange_acceleration(gripper, wsg::Command::GetAcceleration).await
 }
 
-async fn set_acceleration(call: Call) -> SettingResult<AccelerationAnswer> {
+async fn set_acceleration(call: Call<AccelerationSetting>) -> SettingResult<AccelerationAnswer> {
     let (gripper, body): (_, AccelerationSetting) = call.gripper_and_fields()?;
     let gripper = gripper.with_lease(body.lease.as_deref())?;
     let acceleration = acceleration("acceleration_mm_s2", body.acceleration_mm_s2)?;
@@ -115,9 +161,7 @@ pub struct ForceLimitSetting {
     /// Force limit in N, the sum over the fingers.
     #[schema(minimum = 0, maximum = 10000)]
     force_n: f64,
-    /// Token of the current lease, if the gripper is leased. At most 64 bytes; empty means none.
-    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
-    lease: Option<String>,
+    lease: Option<LeaseField>,
 }
 
 async fn exchange_force_limit(gripper: Gripper, command: wsg::Command) -> SettingResult<ForceLimitAnswer> {
@@ -125,12 +169,12 @@ async fn exchange_force_limit(gripper: Gripper, command: wsg::Command) -> Settin
     Ok(Json(ForceLimitAnswer { gripper: gripper.name(), force_n: value.n() }))
 }
 
-async fn get_force_limit(call: Call) -> SettingResult<ForceLimitAnswer> {
+async fn get_force_limit(call: Call<NoFields>) -> SettingResult<ForceLimitAnswer> {
     let (gripper, NoFields {}) = call.gripper_and_fields()?;
     exchange_force_limit(gripper, wsg::Command::GetForceLimit).await
 }
 
-async fn set_force_limit(call: Call) -> SettingResult<ForceLimitAnswer> {
+async fn set_force_limit(call: Call<ForceLimitSetting>) -> SettingResult<ForceLimitAnswer> {
     let (gripper, body): (_, ForceLimitSetting) = call.gripper_and_fields()?;
     let gripper = gripper.with_lease(body.lease.as_deref())?;
     exchange_force_limit(gripper, wsg::Command::SetForceLimit(force("force_n", body.force_n)?)).await
@@ -162,9 +206,7 @@ pub struct SoftLimitsSetting {
     /// Largest allowed width in mm.
     #[schema(minimum = 0, maximum = 1000)]
     plus_mm: f64,
-    /// Token of the current lease, if the gripper is leased. At most 64 bytes; empty means none.
-    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
-    lease: Option<String>,
+    lease: Option<LeaseField>,
 }
 
 async fn exchange_soft_limits(gripper: Gripper, command: wsg::Command) -> SettingResult<SoftLimitsAnswer> {
@@ -181,12 +223,12 @@ async fn exchange_soft_limits(gripper: Gripper, command: wsg::Command) -> Settin
     }))
 }
 
-async fn get_soft_limits(call: Call) -> SettingResult<SoftLimitsAnswer> {
+async fn get_soft_limits(call: Call<NoFields>) -> SettingResult<SoftLimitsAnswer> {
     let (gripper, NoFields {}) = call.gripper_and_fields()?;
     exchange_soft_limits(gripper, wsg::Command::GetSoftLimits).await
 }
 
-async fn set_soft_limits(call: Call) -> SettingResult<SoftLimitsAnswer> {
+async fn set_soft_limits(call: Call<SoftLimitsSetting>) -> SettingResult<SoftLimitsAnswer> {
     let (gripper, body): (_, SoftLimitsSetting) = call.gripper_and_fields()?;
     let gripper = gripper.with_lease(body.lease.as_deref())?;
     let (minus, plus) = (width("minus_mm", body.minus_mm)?, width("plus_mm", body.plus_mm)?);
@@ -195,10 +237,8 @@ async fn set_soft_limits(call: Call) -> SettingResult<SoftLimitsAnswer> {
     exchange_soft_limits(gripper, wsg::Command::SetSoftLimits(limits)).await
 }
 
-async fn clear_soft_limits(call: Call) -> SettingResult<SoftLimitsAnswer> {
-    // HTTP's DELETE has no parameters, and ignores a body.
-    let gripper = call.gripper()?.with_lease(call.lenient_text("lease").as_deref())?;
-    exchange_soft_limits(gripper, wsg::Command::ClearSoftLimits).await
+async fn clear_soft_limits(call: Call<Leased>) -> SettingResult<SoftLimitsAnswer> {
+    exchange_soft_limits(call.leased()?, wsg::Command::ClearSoftLimits).await
 }
 
 /// Overdrive Mode.
@@ -219,16 +259,14 @@ pub struct OverdriveAnswer {
 pub struct OverdriveSetting {
     /// Whether the force limit may go up to the overdrive force.
     enabled: bool,
-    /// Token of the current lease, if the gripper is leased. At most 64 bytes; empty means none.
-    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
-    lease: Option<String>,
+    lease: Option<LeaseField>,
 }
 
 fn overdrive_of(gripper: &Gripper, state: SystemState) -> Json<OverdriveAnswer> {
     Json(OverdriveAnswer { gripper: gripper.name(), enabled: state.contains(SystemState::OVERDRIVE_MODE) })
 }
 
-fn get_overdrive(call: &Call) -> SettingResult<OverdriveAnswer> {
+fn get_overdrive(call: &Call<NoFields>) -> SettingResult<OverdriveAnswer> {
     let (gripper, NoFields {}) = call.gripper_and_fields()?;
     let state = gripper.handle.state();
     let now = Now::read().instant;
@@ -244,7 +282,7 @@ fn get_overdrive(call: &Call) -> SettingResult<OverdriveAnswer> {
     Err(failure.into())
 }
 
-async fn set_overdrive(call: Call) -> SettingResult<OverdriveAnswer> {
+async fn set_overdrive(call: Call<OverdriveSetting>) -> SettingResult<OverdriveAnswer> {
     let (gripper, body): (_, OverdriveSetting) = call.gripper_and_fields()?;
     let gripper = gripper.with_lease(body.lease.as_deref())?;
     let state = ask(&gripper, wsg::Command::OverdriveMode { on: body.enabled }, only!(Data::SystemState)).await?;
@@ -271,9 +309,7 @@ pub struct TagSetting {
     /// The tag: at most 64 printable ASCII characters; before firmware 4, also of ISO 8859-1.
     #[schema(max_length = 64, pattern = "^[ -~\\u00a0-\\u00ff]*$")]
     tag: String,
-    /// Token of the current lease, if the gripper is leased. At most 64 bytes; empty means none.
-    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
-    lease: Option<String>,
+    lease: Option<LeaseField>,
 }
 
 async fn exchange_tag(gripper: Gripper, command: wsg::Command) -> SettingResult<TagAnswer> {
@@ -286,12 +322,12 @@ async fn exchange_tag(gripper: Gripper, command: wsg::Command) -> SettingResult<
     Ok(Json(TagAnswer { gripper: gripper.name(), tag: tag.map(|tag| tag.text()) }))
 }
 
-async fn get_tag(call: Call) -> SettingResult<TagAnswer> {
+async fn get_tag(call: Call<NoFields>) -> SettingResult<TagAnswer> {
     let (gripper, NoFields {}) = call.gripper_and_fields()?;
     exchange_tag(gripper, wsg::Command::GetDeviceTag).await
 }
 
-async fn set_tag(call: Call) -> SettingResult<TagAnswer> {
+async fn set_tag(call: Call<TagSetting>) -> SettingResult<TagAnswer> {
     let (gripper, TagSetting { tag, lease }) = call.gripper_and_fields()?;
     let gripper = gripper.with_lease(lease.as_deref())?;
     let refused = |error: InvalidDeviceTag| match error {

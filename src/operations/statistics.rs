@@ -2,45 +2,65 @@
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
+use strum::{EnumMessage, VariantArray};
 use utoipa::ToSchema;
 
 use super::call::Call;
-use super::operation::{Operation, reply};
+use super::operation::operations;
 use super::problem::Problem;
 use super::reply::Json;
 use super::values::{TextOrNumber, gripper_or_gateway, integer, part_id};
-use crate::gripper::model::time::milliseconds_or_null;
-use crate::gripper::model::{Kind, Outcome, PartId};
 use crate::journal::{Distribution, GripStatistics, StatisticsQuery};
+use crate::model::time::milliseconds_or_null;
+use crate::model::{Kind, Outcome, PartId};
 
-pub const STATISTICS: Operation =
-    Operation::read("grips.statistics", "/grips/statistics", |call| reply(statistics(call)))
-        .queried(&["part_id", "gripper", "kind", "from", "to", "window"]);
+operations! {
+    /// Get statistics of grips
+    ///
+    /// Returns how the grips ended, the spread of their contact widths, forces and times, and with a `part_id` how well
+    /// the contact widths fit the limits of the part's recipe. All grips in the journal count, or those that the
+    /// parameters select.
+    STATISTICS = GET "/grips/statistics" as "grips.statistics" {
+        run: statistics, id: "grip_statistics", tag: "journal", problems: JOURNAL,
+        answer: "The statistics",
+    };
+}
 
 /// Greatest number of grips that a request can name.
 const MAX_WINDOW: u64 = 1_000_000;
 
-#[derive(Debug, Deserialize)]
+/// Filter of the grips that count.
+#[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
-struct StatisticsFields {
+pub struct StatisticsFields {
+    /// Only grips of this part. At most 48 bytes.
+    #[schema(value_type = Option<String>, min_length = 1, max_length = 48, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]+$", example = "A-1047")]
     part_id: Option<TextOrNumber>,
+    /// Only grips of this gripper.
+    #[schema(max_length = 32, pattern = "^[a-z0-9][a-z0-9_-]{0,31}$", example = "left")]
     gripper: Option<String>,
+    /// Only grips from this time on.
+    #[schema(format = DateTime, example = "2026-11-21T09:00:00Z")]
     from: Option<String>,
+    /// Only grips before this time.
+    #[schema(format = DateTime, example = "2026-11-22T09:00:00Z")]
     to: Option<String>,
-    window: Option<TextOrNumber>,
+    /// Kind of the grips: `grip` (default), or `reference` for reference grips.
     #[serde(default)]
     kind: MeasuredGrips,
+    /// Number of the part's newest grips; all by default. Needs `part_id`.
+    #[schema(value_type = Option<u32>, minimum = 1, maximum = 1_000_000)]
+    window: Option<TextOrNumber>,
 }
 
 /// Kind of measured grips.
-///
-/// - `grip`: grips of parts
-/// - `reference`: reference grips, on gauges
-#[derive(Debug, Clone, Copy, Default, Deserialize, ToSchema)]
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize, ToSchema, EnumMessage, VariantArray)]
 #[serde(rename_all = "lowercase")]
 pub enum MeasuredGrips {
+    /// Grips of parts.
     #[default]
     Grip,
+    /// Reference grips, on gauges.
     Reference,
 }
 
@@ -138,7 +158,7 @@ impl From<Distribution> for Spread {
     }
 }
 
-async fn statistics(call: Call) -> Result<Json<StatisticsOfGrips>, Problem> {
+async fn statistics(call: Call<StatisticsFields>) -> Result<Json<StatisticsOfGrips>, Problem> {
     let query = query(call.fields()?)?;
     let statistics = call.gateway.journal.statistics(query.clone()).await?;
     Ok(Json(report(&call, &query, &statistics)))
@@ -176,7 +196,7 @@ fn time(field: &str, given: Option<&str>) -> Result<Option<Timestamp>, Problem> 
     given.map(|text| text.parse().map_err(|_| wrong(text))).transpose()
 }
 
-fn report(call: &Call, query: &StatisticsQuery, statistics: &GripStatistics) -> StatisticsOfGrips {
+fn report<P>(call: &Call<P>, query: &StatisticsQuery, statistics: &GripStatistics) -> StatisticsOfGrips {
     let count = statistics.count();
     let share = |(outcome, number): (&&'static str, &u64)| OutcomeShare {
         outcome,

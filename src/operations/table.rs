@@ -1,102 +1,103 @@
 //! The table of operations.
 
-use http::Method as Verb;
+use std::fmt;
 
+use super::nearest::did_you_mean;
 use super::operation::Operation;
+use super::problem::Problem;
+use super::values::shortened;
 use super::{
     alarms, clock, commands, connection, copy_recipes, device, fast_stop, finger_set, fingers, fleet, grippers, lease,
     me, motion, raw, recipes, reload, settings, statistics, teach, webhooks,
 };
-use crate::gripper::model::Urgency;
+use crate::model::Urgency;
 
-/// All operations. If several share a name, the first whose path parameters are all given is chosen.
-pub const OPERATIONS: &[Operation] = &[
-    motion::HOME,
-    motion::MOVE,
-    motion::GRIP,
-    motion::RELEASE,
-    motion::STOP,
-    fast_stop::ONE,
-    fast_stop::ALL,
-    fast_stop::ACKNOWLEDGE,
-    lease::GET,
-    lease::TAKE,
-    lease::RENEW,
-    lease::RELEASE,
-    lease::HAND_OVER,
-    commands::LATEST,
-    commands::GET,
-    commands::CANCEL,
-    grippers::LIST,
-    grippers::INFO,
-    grippers::STATE,
-    grippers::STATUS,
-    grippers::TREND,
-    settings::GET_ACCELERATION,
-    settings::SET_ACCELERATION,
-    settings::GET_FORCE_LIMIT,
-    settings::SET_FORCE_LIMIT,
-    settings::GET_SOFT_LIMITS,
-    settings::SET_SOFT_LIMITS,
-    settings::CLEAR_SOFT_LIMITS,
-    settings::GET_OVERDRIVE,
-    settings::SET_OVERDRIVE,
-    settings::GET_TAG,
-    settings::SET_TAG,
-    device::STATISTICS,
-    device::RESET_STATISTICS,
-    fingers::INFO,
-    fingers::DATA,
-    fingers::POWER,
-    finger_set::GET,
-    finger_set::SET,
-    device::TARE,
-    device::LOOP,
-    raw::RAW,
-    connection::DISCONNECT,
-    connection::CONNECT,
-    fleet::LIST,
-    fleet::FAST_STOP,
-    fleet::ACKNOWLEDGE,
-    copy_recipes::COPY,
-    alarms::LIST,
-    alarms::ACKNOWLEDGE,
-    recipes::LIST,
-    recipes::SET_SEVERAL,
-    recipes::GET,
-    recipes::VERSIONS,
-    recipes::SET,
-    recipes::REMOVE,
-    teach::TEACH,
-    statistics::STATISTICS,
-    clock::CLOCK,
-    me::ME,
-    reload::RELOAD,
-    webhooks::LIST,
-    webhooks::TEST,
+/// The operations of all modules. If several share a name, the first whose path parameters are all given is chosen.
+const MODULES: &[&[Operation]] = &[
+    motion::OPERATIONS,
+    fast_stop::OPERATIONS,
+    lease::OPERATIONS,
+    commands::OPERATIONS,
+    grippers::OPERATIONS,
+    settings::OPERATIONS,
+    device::OPERATIONS,
+    fingers::OPERATIONS,
+    finger_set::OPERATIONS,
+    raw::OPERATIONS,
+    connection::OPERATIONS,
+    fleet::OPERATIONS,
+    copy_recipes::OPERATIONS,
+    alarms::OPERATIONS,
+    recipes::OPERATIONS,
+    teach::OPERATIONS,
+    statistics::OPERATIONS,
+    clock::OPERATIONS,
+    me::OPERATIONS,
+    reload::OPERATIONS,
+    webhooks::OPERATIONS,
 ];
 
-/// Operations with this name.
-pub fn named(name: &str) -> impl Iterator<Item = &'static Operation> {
-    OPERATIONS.iter().filter(move |operation| operation.name == name)
+/// All operations.
+pub fn all() -> impl Iterator<Item = &'static Operation> + Clone {
+    MODULES.iter().copied().flatten()
 }
 
-/// The operation with this method and path template, which is relative to the API's path.
-#[must_use]
-pub fn find(verb: &Verb, path: &str) -> Option<&'static Operation> {
-    OPERATIONS.iter().find(|operation| operation.verb == verb && operation.path == path)
+/// The operations that a name stands for: one, or several with different paths, such as the FAST STOP of one gripper
+/// and of all. These have the same urgency, and the same properties apart from their paths.
+#[derive(Clone, Copy)]
+pub struct Method(&'static Operation);
+
+impl Method {
+    /// The method with this name.
+    ///
+    /// # Errors
+    /// `not_found` with the nearest name.
+    pub fn named(name: &str) -> Result<Self, Problem> {
+        all().find(|operation| operation.name == name).map(Self).ok_or_else(|| {
+            let suggestion = did_you_mean(name, all().map(|operation| operation.name));
+            Problem::not_found(format!("method {:?}{suggestion}", shortened(name)))
+        })
+    }
+
+    /// The method's operations: the first whose path parameters are all given is meant.
+    pub fn operations(self) -> impl Iterator<Item = &'static Operation> {
+        all().filter(move |operation| operation.name == self.name())
+    }
+
+    /// One of its operations, for the properties that they share.
+    pub fn shared(self) -> &'static Operation {
+        self.0
+    }
+
+    pub fn name(self) -> &'static str {
+        self.0.name
+    }
+
+    pub fn urgency(self) -> Urgency {
+        self.0.urgency
+    }
+
+    pub fn is_fast_stop(self) -> bool {
+        self.urgency() == Urgency::FastStop
+    }
 }
 
-/// Whether this is the name of a FAST STOP.
-#[must_use]
-pub fn is_fast_stop(name: &str) -> bool {
-    urgency(name) == Urgency::FastStop
+impl From<&'static Operation> for Method {
+    fn from(operation: &'static Operation) -> Self {
+        Self(operation)
+    }
 }
 
-/// Urgency of the operations with this name.
-#[must_use]
-pub fn urgency(name: &str) -> Urgency {
-    named(name).next().map_or(Urgency::None, |operation| operation.urgency)
+impl PartialEq for Method {
+    fn eq(&self, other: &Self) -> bool {
+        self.name() == other.name()
+    }
+}
+
+impl fmt::Debug for Method {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
 }
 
 #[cfg(test)]
@@ -105,9 +106,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn operations_with_one_name_have_one_urgency() {
-        for operation in OPERATIONS {
-            assert_eq!(urgency(operation.name), operation.urgency, "{}", operation.name);
+    fn operations_with_one_name_differ_only_in_their_paths() {
+        let shared = |one: &Operation| {
+            (one.urgency, one.ignores_mistakes, one.starts_command, one.waits, one.changes_something())
+        };
+        for operation in all() {
+            assert_eq!(
+                shared(Method::named(operation.name).unwrap().shared()),
+                shared(operation),
+                "{}",
+                operation.name
+            );
         }
     }
 
@@ -120,8 +129,7 @@ mod tests {
 
     #[test]
     fn stops_and_lease_renewals_are_urgent() {
-        let urgent: Vec<_> =
-            OPERATIONS.iter().filter(|operation| operation.urgency != Urgency::None).map(|one| one.name).collect();
+        let urgent: Vec<_> = all().filter(|operation| operation.urgency != Urgency::None).map(|one| one.name).collect();
         let expected = ["stop", "fast-stop", "fast-stop", "lease.renew", "lease.release", "cancel", "fleet.fast-stop"];
         assert_eq!(urgent, expected);
     }

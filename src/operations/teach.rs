@@ -1,22 +1,28 @@
 //! Proposed limits of a recipe: the contact widths of the part's last grips.
 
-use http::Method as Verb;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::call::Call;
-use super::operation::{Operation, reply};
+use super::operation::operations;
 use super::problem::Problem;
 use super::reply::Json;
 use super::values::{gripper_or_gateway, integer};
 use crate::access::Right;
 use crate::gripper::limits::WIDEST_MM;
-use crate::gripper::model::{Code, Kind, Outcome};
 use crate::journal::{Distribution, Filter, GripQuery, Limit};
+use crate::model::{Code, Kind, Outcome};
 
-pub const TEACH: Operation =
-    Operation::change("recipe.teach", &Verb::POST, "/recipes/{part_id}/teach", |call| reply(teach(call)))
-        .needs(Right::Read);
+operations! {
+    /// Propose limits for a recipe
+    ///
+    /// Proposes limits from the contact widths of the part's newest grips with outcome `PART_HELD`: their mean minus
+    /// and plus `k` standard deviations, or 0.01 mm if that is more. Changes nothing: set the limits with the recipe.
+    TEACH = POST "/recipes/{part_id}/teach" as "recipe.teach" {
+        run: teach, id: "teach_recipe", tag: "recipes", problems: RECIPE,
+        answer: "The proposed limits",
+    }.needs(Right::Read);
+}
 
 /// Grips that are read by default.
 const DEFAULT_LAST: f64 = 50.0;
@@ -68,7 +74,7 @@ struct GripWidth {
     contact_width_mm: Option<f64>,
 }
 
-async fn teach(call: Call) -> Result<Json<ProposedLimits>, Problem> {
+async fn teach(call: Call<Teach>) -> Result<Json<ProposedLimits>, Problem> {
     let (part_id, Teach { last, k, gripper }) = (call.part_id()?, call.fields()?);
     let gripper = gripper.map(|name| gripper_or_gateway("gripper", &name)).transpose()?;
     let last = integer("last", last.unwrap_or(DEFAULT_LAST), 2..=1000)?;

@@ -2,19 +2,36 @@
 //!
 //! A number only has to fit the wire here; the gripper checks its own limits. The bounds in the OpenAPI document are
 //! those that no gripper exceeds.
+//!
+//! Type names that end in `Field` do not appear in the API's documents: such a type is described where it is used.
 
 use std::fmt;
-use std::ops::RangeInclusive;
+use std::ops::{Deref, RangeInclusive};
 
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer};
 use serde_json::Number;
+use utoipa::ToSchema;
 use utoipa::openapi::schema::{ObjectBuilder, OneOfBuilder, Type};
 
 use super::problem::Problem;
 use crate::gripper::limits::{FASTEST_MM_S, HARDEST_MM_S2, STRONGEST_N, WIDEST_MM};
-use crate::gripper::model::{Name, PartId, ShownName, Text};
+use crate::model::{Name, PartId, ShownName, Text};
 use crate::wsg::{Acceleration, Force, NotFinite, Speed, Width};
+
+/// Token of the current lease, if the gripper is leased. At most 64 bytes; empty means none.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(transparent)]
+#[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
+pub struct LeaseField(String);
+
+impl Deref for LeaseField {
+    type Target = str;
+
+    fn deref(&self) -> &str {
+        &self.0
+    }
+}
 
 /// Cuts a client's text to the 32 characters that an answer repeats.
 pub fn shortened(text: &str) -> String {

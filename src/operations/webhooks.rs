@@ -1,23 +1,36 @@
 //! The webhooks' positions in the journal, and test deliveries.
 
-use http::Method as Verb;
 use jiff::Timestamp;
 use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::call::{Call, NoFields};
-use super::operation::{Operation, ready, reply};
+use super::operation::operations;
 use super::problem::Problem;
 use super::reply::Json;
 use crate::access::Right;
-use crate::gripper::model::Code;
 use crate::journal::EventKind;
+use crate::model::Code;
 use crate::webhooks::{DeliveryFailure, Tested, Webhook, WebhookProgress};
 
-pub const LIST: Operation = Operation::read("webhooks", "/webhooks", |call| ready(list(&call)));
-pub const TEST: Operation =
-    Operation::change("webhooks.test", &Verb::POST, "/webhooks/{webhook}/test", |call| reply(test(call)))
-        .needs(Right::Supervise);
+operations! {
+    /// List the webhooks
+    ///
+    /// Returns each webhook's position in the journal, and its newest success and failure.
+    LIST = GET "/webhooks" as "webhooks" {
+        run: list, id: "webhooks", tag: "webhooks", problems: ANY,
+        answer: "All webhooks of this gateway",
+    };
+
+    /// Test a webhook
+    ///
+    /// Sends the webhook's receiver a signed delivery of the kind `test`, and waits up to 15 s for the response. If the
+    /// test succeeds, a delivery that waits for its next attempt is repeated at once.
+    TEST = POST "/webhooks/{webhook}/test" as "webhooks.test" {
+        run: test, id: "test_webhook", tag: "webhooks", problems: WEBHOOK,
+        answer: "The test has ended; `delivered` is its result",
+    }.needs(Right::Supervise);
+}
 
 /// All webhooks.
 #[derive(Debug, Serialize, ToSchema)]
@@ -68,8 +81,15 @@ pub struct WebhookReport {
 
 impl WebhookReport {
     fn of(webhook: &Webhook) -> Self {
-        let WebhookProgress { position, last_success_at, last_error_at, last_error, failed_attempts, retry_at } =
-            webhook.progress();
+        let WebhookProgress {
+            position,
+            last_success_at,
+            last_error_at,
+            last_error,
+            failed_attempts,
+            retry_at,
+            failing_since: _,
+        } = webhook.progress();
         let text = |at: Option<Timestamp>| at.map(|at| format!("{at:.3}"));
         Self {
             name: webhook.name().to_string(),
@@ -89,7 +109,7 @@ impl WebhookReport {
 /// Result of a test delivery.
 #[derive(Debug, Serialize, ToSchema)]
 #[schema(example = json!({"webhook": "mes", "delivered": true, "status": 204, "duration_ms": 12, "error": null}))]
-pub struct WebhookTest {
+pub struct WebhookDelivery {
     /// The webhook's name.
     #[schema(max_length = 32)]
     webhook: String,
@@ -106,19 +126,19 @@ pub struct WebhookTest {
     error: Option<String>,
 }
 
-fn list(call: &Call) -> Result<Json<WebhookList>, Problem> {
+fn list(call: &Call<NoFields>) -> Result<Json<WebhookList>, Problem> {
     let NoFields {} = call.fields()?;
-    let webhooks = call.gateway.webhooks.iter().map(|webhook| WebhookReport::of(webhook)).collect();
+    let webhooks = call.gateway.webhooks.all().iter().map(|webhook| WebhookReport::of(webhook)).collect();
     Ok(Json(WebhookList { webhooks }))
 }
 
-async fn test(call: Call) -> Result<Json<WebhookTest>, Problem> {
+async fn test(call: Call<NoFields>) -> Result<Json<WebhookDelivery>, Problem> {
     let (webhook, NoFields {}) = (call.webhook()?, call.fields()?);
     let Tested { result, duration } = webhook.test().await.ok_or_else(|| {
         Problem::new(Code::Overloaded, "a test delivery to this webhook is in progress: wait for its end")
     })?;
     let status = result.as_ref().map_or_else(DeliveryFailure::status, |status| Some(*status));
-    Ok(Json(WebhookTest {
+    Ok(Json(WebhookDelivery {
         webhook: webhook.name().to_string(),
         delivered: result.is_ok(),
         status: status.map(|status| status.as_u16()),

@@ -14,11 +14,11 @@ use serde_json::Value;
 use tokio::sync::oneshot;
 
 use crate::gripper::Now;
-use crate::gripper::model::{
-    Client, Detail, Event, Name, PartId, PersistedKey, PersistedState, Recipe, RecipeEvent, RecipeNumber, RecipeStep,
-};
 use crate::gripper::recorder::{Record, Recorder as _};
 use crate::journal::Journal;
+use crate::model::{
+    Client, Detail, Event, Name, PartId, PersistedKey, PersistedState, Recipe, RecipeEvent, RecipeNumber, RecipeStep,
+};
 use store::{ChangedRecipes, KnownRecipes};
 
 pub use store::{ExpectedVersion, RecipeConflict};

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use jiff::Timestamp;
 
 use super::version::RecipeVersion;
-use crate::gripper::model::{PartId, Recipe, RecipeNumber};
+use crate::model::{PartId, Recipe, RecipeNumber};
 
 /// Maximum number of versions. Beyond it, the oldest one is dropped that is not current.
 const MAX_VERSIONS: usize = 1000;

@@ -1,8 +1,8 @@
 use std::sync::Arc;
 
 use super::*;
-use crate::gripper::model::{Door, RecipeDescription, RecipeValues};
 use crate::journal::{JournalLocation, Retention};
+use crate::model::{Door, RecipeDescription, RecipeValues};
 
 fn recipe(part_id: &str, number: u8, width_mm: f64) -> Recipe {
     Recipe {
@@ -127,4 +127,12 @@ fn current_versions_outlive_newer_ones_of_other_recipes() {
     };
     assert_eq!(versions("A"), [1]);
     assert_eq!(versions("B"), (104..=1102).rev().collect::<Vec<_>>());
+}
+
+#[test]
+fn time_of_a_version_always_has_milliseconds() {
+    let changed_at = "2026-11-30T17:46:53.670Z";
+    let (at, recipe) = (changed_at.parse().unwrap(), recipe("A", 1, 20.0));
+    let version = RecipeVersion { version: 1, changed_at: at, changed_by: "mes".into(), removed: false, recipe };
+    assert_eq!(serde_json::to_value(version).unwrap()["changed_at"], changed_at);
 }

@@ -6,7 +6,7 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::gripper::model::Recipe;
+use crate::model::Recipe;
 
 /// A version of a recipe.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -15,6 +15,7 @@ pub struct RecipeVersion {
     #[schema(minimum = 1, maximum = 9_007_199_254_740_991_i64)]
     pub version: u64,
     /// Time of the change.
+    #[serde(serialize_with = "crate::model::time::milliseconds")]
     #[schema(value_type = String, format = DateTime)]
     pub changed_at: Timestamp,
     /// Subject of the client that made the change.

@@ -4,9 +4,9 @@ use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 
-use crate::wsg::frame;
-use crate::wsg::id;
-use crate::wsg::{Data, Reply, Status};
+use wsg::frame;
+use wsg::id;
+use wsg::{Data, Reply, Status};
 
 use super::faults::{FaultKind, FaultName};
 use super::getters::BrokenGetter;

@@ -1,6 +1,6 @@
-use crate::sim::testing::*;
-use crate::sim::{Change, DeviceConfig, FaultKind, FaultName, FingerConfig, Interface, LinkAction, Part};
-use crate::wsg::{
+use crate::testing::*;
+use crate::{Change, DeviceConfig, FaultKind, FaultName, FingerConfig, Interface, LinkAction, Part};
+use wsg::{
     Acceleration, Command, Data, DeviceTag, Finger, FingerFlags, Force, GripperState, Reply, SoftLimits, Status,
     SystemState, Temperature, id,
 };

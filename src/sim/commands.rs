@@ -1,6 +1,6 @@
 //! Handling of all requests except motions.
 
-use crate::wsg::{
+use wsg::{
     Acceleration, Command, CustomCommand, Data, Finger, Force, InvalidRequest, Reply, Status, Temperature, Updates, id,
 };
 
@@ -143,7 +143,7 @@ impl Device {
             Command::GetStatistics { reset } => {
                 let statistics = self.process.statistics;
                 if *reset {
-                    self.process.statistics = crate::wsg::Statistics::default();
+                    self.process.statistics = wsg::Statistics::default();
                 }
                 Data::Statistics(statistics)
             }

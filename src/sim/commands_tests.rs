@@ -1,6 +1,6 @@
-use crate::sim::testing::*;
-use crate::sim::{DeviceConfig, FingerConfig, Model, Part, Script, ScriptAnswer};
-use crate::wsg::{
+use crate::testing::*;
+use crate::{DeviceConfig, FingerConfig, Model, Part, Script, ScriptAnswer};
+use wsg::{
     Acceleration, Command, Data, DeviceTag, DeviceType, Finger, FingerFlags, FingerInfo, FingerType, Force, Reply,
     Statistics, Status, SystemState, Temperature, Updates, id,
 };
@@ -138,7 +138,7 @@ fn ruling_statistics_answer_with_42h_and_can_be_reset() {
 #[test]
 fn ruling_minus_1_1_degrees_is_fff5h() {
     let mut bench = Bench::new(DeviceConfig::wsg50());
-    bench.apply(crate::sim::Change::Overheat { temperature_c: -1.1 });
+    bench.apply(crate::Change::Overheat { temperature_c: -1.1 });
     let reply = Reply::Success(Data::Temperature(Temperature(i16::from_le_bytes([0xF5, 0xFF]))));
     assert_eq!(bench.reply(&Command::GetTemperature), reply);
 }
@@ -170,11 +170,11 @@ fn over_current_while_powering_up_ends_the_request() {
     bench.reply(&off);
     assert_eq!(bench.reply(&on), PENDING);
     bench.pass(ms(100));
-    bench.apply(crate::sim::Change::FingerOverCurrent { finger: 2, on: true });
+    bench.apply(crate::Change::FingerOverCurrent { finger: 2, on: true });
     assert_eq!(bench.frames(), [(id::FINGER_2_POWER, status(Status::E_CMD_FAILED))]);
     assert_eq!(bench.pass(ms(1000)), [], "once");
     assert_eq!(bench.reply(&on), status(Status::E_CMD_FAILED));
-    bench.apply(crate::sim::Change::FingerOverCurrent { finger: 2, on: false });
+    bench.apply(crate::Change::FingerOverCurrent { finger: 2, on: false });
     assert_eq!(bench.run(&on), [PENDING, DONE]);
 }
 
@@ -261,10 +261,10 @@ fn scripts_add_commands_while_they_run() {
     assert_eq!(bench.ask_raw(0xB1, &[]), [(0xB1, custom(&[0; 13]))]);
     assert_eq!(bench.status_of_raw(0xB2, &[]), Status::E_CMD_FAILED);
     assert_eq!(bench.ask_raw(0xBB, &[]), [(0xBB, custom(&[0xAA; 3]))]);
-    bench.apply(crate::sim::Change::FailScript);
+    bench.apply(crate::Change::FailScript);
     assert!(bench.has(SystemState::SCRIPT_FAILURE) && !bench.has(SystemState::SCRIPT_RUNNING));
     assert_eq!(bench.status_of_raw(0xB0, &[]), Status::E_CMD_UNKNOWN);
-    bench.apply(crate::sim::Change::StartScript);
+    bench.apply(crate::Change::StartScript);
     assert_eq!(bench.ask_raw(0xB0, &[]), [(0xB0, custom(&[]))]);
     assert!(!bench.has(SystemState::SCRIPT_FAILURE));
 }

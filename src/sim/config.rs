@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::wsg::{ChecksumEvaluation, DeviceTag, Firmware, SoftLimits, Status, SystemLimits};
+use wsg::{ChecksumEvaluation, DeviceTag, Firmware, SoftLimits, Status, SystemLimits};
 
 use super::axis::AxisDirection;
 use super::models::Model;

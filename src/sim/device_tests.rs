@@ -2,11 +2,9 @@
 
 use std::collections::HashMap;
 
-use crate::sim::testing::*;
-use crate::sim::{
-    BrokenGetter, Change, Device, DeviceConfig, FaultKind, FaultName, FingerConfig, Interface, Model, Part,
-};
-use crate::wsg::{Command, Finger, Force, HomingDirection, Reply, SoftLimits, Status, SystemState, id};
+use crate::testing::*;
+use crate::{BrokenGetter, Change, Device, DeviceConfig, FaultKind, FaultName, FingerConfig, Interface, Model, Part};
+use wsg::{Command, Finger, Force, HomingDirection, Reply, SoftLimits, Status, SystemState, id};
 
 const SEEDS: u64 = 60;
 const ACTIONS: u32 = 250;
@@ -243,7 +241,7 @@ fn every_kind_of_fault_occurs_and_is_counted() {
 }
 
 fn config_with_all_features() -> DeviceConfig {
-    let scripts = vec![crate::sim::Script { id: 0xB0, answer: crate::sim::ScriptAnswer::Echo }];
+    let scripts = vec![crate::Script { id: 0xB0, answer: crate::ScriptAnswer::Echo }];
     let fingers = [FingerConfig::Generic, FingerConfig::Generic];
     DeviceConfig { fingers, scripts, ..DeviceConfig::wsg50().with_part(Part::outside(10.0)) }
 }

@@ -1,6 +1,6 @@
-use crate::sim::testing::*;
-use crate::sim::{Change, DeviceConfig, FaultKind, FaultName, LinkAction};
-use crate::wsg::{Command, Data, Reply, Status, id};
+use crate::testing::*;
+use crate::{Change, DeviceConfig, FaultKind, FaultName, LinkAction};
+use wsg::{Command, Data, Reply, Status, id};
 
 /// Sends a Loop with this fault armed. Returns the chunks of its reply, and the bench.
 fn on_the_wire(kind: FaultKind) -> (Vec<Vec<u8>>, Bench) {

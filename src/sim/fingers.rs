@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use crate::wsg::{FingerFlags, FingerInfo, FingerType, Status};
+use wsg::{FingerFlags, FingerInfo, FingerType, Status};
 
 use super::config::FingerConfig;
 

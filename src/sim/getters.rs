@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use crate::wsg::{Reply, Status, frame};
+use wsg::{Reply, Status, frame};
 
 use super::Device;
 use super::faults::FaultName;

@@ -1,6 +1,6 @@
-use crate::sim::testing::*;
-use crate::sim::{Change, DeviceConfig, FingerConfig, Model, Part};
-use crate::wsg::{Command, Force, GripperState, HomingDirection, Status, SystemState, id};
+use crate::testing::*;
+use crate::{Change, DeviceConfig, FingerConfig, Model, Part};
+use wsg::{Command, Force, GripperState, HomingDirection, Status, SystemState, id};
 
 /// Creates a homed device with a part between its jaws.
 fn with_part(config: DeviceConfig, part: Part) -> Bench {
@@ -162,7 +162,7 @@ fn ruling_no_part_lasts_until_any_motion_in_fw4_and_until_a_grip_or_release_in_f
         bench.pass(ms(8000));
         (during, bench.state())
     };
-    let homing = Command::Homing(crate::wsg::HomingDirection::Default);
+    let homing = Command::Homing(wsg::HomingDirection::Default);
     for command in [move_to(50.0, 100.0), homing] {
         let fw4 = states(DeviceConfig::wsg50(), &command);
         assert_eq!(fw4, (GripperState::Positioning, GripperState::Idle));

@@ -4,8 +4,8 @@ use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 
-use crate::wsg::timed_decoder::RESYNC_PAUSE;
-use crate::wsg::{Command, Decoded, Decoder, InvalidRequest, Status, TimedDecoder, id};
+use wsg::timed_decoder::RESYNC_PAUSE;
+use wsg::{Command, Decoded, Decoder, InvalidRequest, Status, TimedDecoder, id};
 
 use super::config::{BadChecksum, DeviceConfig};
 use super::faults::{FaultKind, FaultName, FaultStage};

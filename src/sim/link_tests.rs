@@ -1,6 +1,6 @@
-use crate::sim::testing::*;
-use crate::sim::{BadChecksum, Change, DeviceConfig, FaultName, Interface, MAX_QUEUED_REPLIES, MAX_RECEIVED_FRAMES};
-use crate::wsg::{ChecksumEvaluation, Command, Data, Reply, Status, SystemState, id};
+use crate::testing::*;
+use crate::{BadChecksum, Change, DeviceConfig, FaultName, Interface, MAX_QUEUED_REPLIES, MAX_RECEIVED_FRAMES};
+use wsg::{ChecksumEvaluation, Command, Data, Reply, Status, SystemState, id};
 
 fn reconnect(bench: &mut Bench) {
     bench.device.disconnect(bench.now);
@@ -126,7 +126,7 @@ fn request_of_any_size_gets_its_status_and_its_payload_does_nothing() {
     }
     assert!(!bench.has_any(SystemState::MOVING | SystemState::FAST_STOP));
     let mut wrong = Vec::new();
-    crate::wsg::frame::encode(id::LOOP, &[&[0; 10][..], &bytes(&move_to(50.0, 50.0)), &[0; 5000]].concat(), &mut wrong);
+    wsg::frame::encode(id::LOOP, &[&[0; 10][..], &bytes(&move_to(50.0, 50.0)), &[0; 5000]].concat(), &mut wrong);
     *wrong.last_mut().unwrap() ^= 1;
     bench.device.receive(bench.now, &wrong);
     assert_eq!(bench.frames(), [(id::LOOP, status(Status::E_CHECKSUM_ERROR))]);

@@ -11,12 +11,12 @@
 //! and [`FaultKind`] lists faults on the wire.
 //!
 //! Architecture invariant: no runtime, no clock, no randomness, and no imports from this crate except
-//! [`wsg`](crate::wsg).
+//! [`wsg`].
 
 use std::collections::VecDeque;
 use std::time::Instant;
 
-use crate::wsg::{Subscriptions, TimedDecoder};
+use wsg::{Subscriptions, TimedDecoder};
 
 mod axis;
 mod change;

@@ -3,7 +3,7 @@
 //! The limits are plausible for each size but not copied from a data sheet. They differ, so that clients have to query
 //! them (`fw4-en 3.5.4`), and one model has no overdrive (`fw4-en 3.3.8`).
 
-use crate::wsg::{Acceleration, DeviceType, Force, Speed, SystemLimits, Width};
+use wsg::{Acceleration, DeviceType, Force, Speed, SystemLimits, Width};
 
 use super::config::Generation;
 

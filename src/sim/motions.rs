@@ -1,6 +1,6 @@
 //! Handling of motion requests (`fw4-en 3.2`).
 
-use crate::wsg::{Command, HomingDirection, InvalidRequest, Status, Width};
+use wsg::{Command, HomingDirection, InvalidRequest, Status, Width};
 
 use super::axis::{AxisDirection, Drive};
 use super::grip::Grip;

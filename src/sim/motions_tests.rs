@@ -1,6 +1,6 @@
-use crate::sim::testing::*;
-use crate::sim::{AxisDirection, Change, DeviceConfig, Model};
-use crate::wsg::{Command, Data, Force, GripperState, HomingDirection, Reply, SoftLimits, Status, SystemState, id};
+use crate::testing::*;
+use crate::{AxisDirection, Change, DeviceConfig, Model};
+use wsg::{Command, Data, Force, GripperState, HomingDirection, Reply, SoftLimits, Status, SystemState, id};
 
 fn limits(minus: f32, plus: f32) -> Command {
     Command::SetSoftLimits(SoftLimits::new(width(minus), width(plus)).unwrap())
@@ -315,7 +315,7 @@ fn late_calls_give_same_result() {
         let mut bench = Bench::new(DeviceConfig::wsg50());
         bench.stride = ms(stride);
         let mut frames = bench.run(&Command::Homing(HomingDirection::Default));
-        bench.apply(Change::PlacePart(crate::sim::Part::outside(20.0)));
+        bench.apply(Change::PlacePart(crate::Part::outside(20.0)));
         frames.extend(bench.run(&grip(20.0, 80.0)));
         bench.apply(Change::SlipPart);
         bench.pass(ms(8000));
@@ -332,7 +332,7 @@ fn late_calls_give_same_result() {
 #[test]
 fn own_timeouts_alone_give_same_result() {
     let story = |by_timeouts: bool| {
-        let mut bench = Bench::homed(DeviceConfig::wsg50().with_part(crate::sim::Part::outside(20.0)));
+        let mut bench = Bench::homed(DeviceConfig::wsg50().with_part(crate::Part::outside(20.0)));
         bench.ask(&Command::GetWidth(updates(true, 25)));
         let end = bench.now + ms(5000);
         let mut frames = bench.ask(&grip(20.0, 80.0));
@@ -354,7 +354,7 @@ fn no_timer_runs_while_idle() {
     assert_eq!(bench.device.poll_timeout(), None);
     bench.home();
     assert_eq!(bench.device.poll_timeout(), None);
-    bench.apply(Change::PlacePart(crate::sim::Part::outside(20.0)));
+    bench.apply(Change::PlacePart(crate::Part::outside(20.0)));
     bench.run(&grip(20.0, 80.0));
     assert_eq!(bench.device.poll_timeout(), None, "nor while a part is held");
 }

@@ -5,7 +5,7 @@ use std::str::FromStr;
 use std::time::Duration;
 
 use super::{AxisDirection, BadChecksum, DeviceConfig, FingerConfig, GripSide, Part, Script, ScriptAnswer};
-use crate::wsg::{ChecksumEvaluation, DeviceTag, SoftLimits, Status, Width, id};
+use wsg::{ChecksumEvaluation, DeviceTag, SoftLimits, Status, Width, id};
 
 /// Allowed values of a width.
 const WITHIN_STROKE: &str = "a width within the stroke";

@@ -1,6 +1,6 @@
 //! Validation of changes against the limits of the device and the range of its frames.
 
-use crate::wsg::SystemLimits;
+use wsg::SystemLimits;
 
 use super::Change;
 use super::world::{RIGID_N_MM, SOFTEST_N_MM};
@@ -54,7 +54,7 @@ fn within(field: &'static str, value: f64, [min, max]: [f64; 2]) -> Result<(), I
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sim::{DeviceConfig, FaultKind, Part};
+    use crate::{DeviceConfig, FaultKind, Part};
 
     #[test]
     fn impossible_values_are_rejected_with_their_limits() {

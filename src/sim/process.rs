@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use crate::wsg::{GripperState, Statistics, Status};
+use wsg::{GripperState, Statistics, Status};
 
 use super::axis::AxisDirection;
 

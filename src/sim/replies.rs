@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use crate::wsg::{Data, Reply, Status, id};
+use wsg::{Data, Reply, Status, id};
 
 use super::Device;
 use super::faults::{FaultKind, FaultName, FaultStage};

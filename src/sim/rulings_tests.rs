@@ -3,9 +3,7 @@
 
 use super::testing::*;
 use super::{Change, DeviceConfig, Part};
-use crate::wsg::{
-    Command, Data, DeviceTag, GripperState, HomingDirection, Reply, Status, SystemState, Updates, Width, id,
-};
+use wsg::{Command, Data, DeviceTag, GripperState, HomingDirection, Reply, Status, SystemState, Updates, Width, id};
 
 fn holding(config: DeviceConfig) -> Bench {
     let mut bench = Bench::homed(config.with_part(Part::outside(20.0)));

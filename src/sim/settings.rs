@@ -1,6 +1,6 @@
 //! Client settings (`fw4-en 3.3`). Only the device tag survives a restart.
 
-use crate::wsg::{Acceleration, DeviceTag, Force, SoftLimits};
+use wsg::{Acceleration, DeviceTag, Force, SoftLimits};
 
 use super::config::DeviceConfig;
 

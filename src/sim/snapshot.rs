@@ -1,8 +1,6 @@
 //! Current state of the device: values of its getters, and a full snapshot for tests and the control port.
 
-use crate::wsg::{
-    Data, DeviceTag, Force, GripperState, SoftLimits, Speed, Statistics, SystemInfo, SystemState, Width, id,
-};
+use wsg::{Data, DeviceTag, Force, GripperState, SoftLimits, Speed, Statistics, SystemInfo, SystemState, Width, id};
 
 use super::Device;
 use super::axis::AxisDirection;

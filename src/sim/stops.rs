@@ -1,7 +1,7 @@
 //! Commands that end motions: Stop, FAST STOP and its acknowledgement, and the disconnect announcement
 //! (`fw4-en 3.2.3` to `3.2.5`, `3.1.2`).
 
-use crate::wsg::{Status, id};
+use wsg::{Status, id};
 
 use super::Device;
 use super::motion::StepOutcome;

@@ -1,6 +1,6 @@
-use crate::sim::testing::*;
-use crate::sim::{Change, DeviceConfig, Interface};
-use crate::wsg::{Command, Data, GripperState, HomingDirection, Reply, Status, SystemState, id};
+use crate::testing::*;
+use crate::{Change, DeviceConfig, Interface};
+use wsg::{Command, Data, GripperState, HomingDirection, Reply, Status, SystemState, id};
 
 #[test]
 fn stop_ends_motion_and_both_get_replies() {

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use crate::wsg::{
+use wsg::{
     ChecksumEvaluation, Command, Data, Decoded, Decoder, GripperState, HomingDirection, LoopData, MoveFlags, Reply,
     Speed, Status, SystemState, Updates, Width, id,
 };
@@ -64,7 +64,7 @@ impl Bench {
     /// Sends a possibly invalid request, and returns the immediate frames.
     pub fn ask_raw(&mut self, id: u8, payload: &[u8]) -> Vec<(u8, Reply)> {
         let mut bytes = Vec::new();
-        crate::wsg::frame::encode(id, payload, &mut bytes);
+        wsg::frame::encode(id, payload, &mut bytes);
         self.device.receive(self.now, &bytes);
         self.frames()
     }

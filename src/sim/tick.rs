@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use crate::wsg::{Reply, Status};
+use wsg::{Reply, Status};
 
 use super::Device;
 use super::axis::STEP;
@@ -95,7 +95,7 @@ impl Device {
         }
     }
 
-    fn take_due_updates(&mut self) -> Vec<(u8, crate::wsg::Data)> {
+    fn take_due_updates(&mut self) -> Vec<(u8, wsg::Data)> {
         let mut subscriptions = std::mem::take(&mut self.subscriptions);
         let due = subscriptions.take_due(self.clock, true, |id| Some(self.value(id)));
         self.subscriptions = subscriptions;

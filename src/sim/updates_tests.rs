@@ -1,6 +1,6 @@
-use crate::sim::testing::*;
-use crate::sim::{Change, DeviceConfig, Interface, Part};
-use crate::wsg::{Command, Data, GripperState, Reply, SystemState, Updates, id};
+use crate::testing::*;
+use crate::{Change, DeviceConfig, Interface, Part};
+use wsg::{Command, Data, GripperState, Reply, SystemState, Updates, id};
 
 #[test]
 fn updates_are_periodic_and_look_like_replies() {
@@ -113,7 +113,7 @@ fn fw4_sends_no_width_before_reference() {
         let mut bench = Bench::new(config);
         let zero = Reply::Success(Data::Width(width(0.0)));
         assert_eq!(bench.reply(&Command::GetWidth(updates(true, 10))), zero);
-        bench.ask(&Command::Homing(crate::wsg::HomingDirection::Inner));
+        bench.ask(&Command::Homing(wsg::HomingDirection::Inner));
         let frames = bench.pass(ms(500));
         assert_eq!(frames.iter().any(|(id, _)| *id == id::GET_WIDTH), told);
         let frames = bench.pass(ms(3000));
@@ -156,7 +156,7 @@ fn unfetched_updates_are_dropped_but_not_replies() {
     bench.now += ms(60_000);
     bench.device.handle_timeout(bench.now);
     let snapshot = bench.snapshot();
-    assert_eq!(snapshot.queued_frames, crate::sim::MAX_QUEUED_FRAMES);
+    assert_eq!(snapshot.queued_frames, crate::MAX_QUEUED_FRAMES);
     assert_eq!(snapshot.dropped_updates, 6000 + 1 - 256);
     assert_eq!(bench.frames()[0], (id::LOOP, Reply::Success(Data::Loop(vec![7]))));
 }

@@ -1,6 +1,6 @@
 //! Effects of wire faults on a frame's bytes.
 
-use crate::wsg::{frame, id};
+use wsg::{frame, id};
 
 use super::faults::FaultKind;
 

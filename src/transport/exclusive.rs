@@ -28,7 +28,7 @@ struct DeviceUsers {
 struct DeviceUser {
     id: u64,
     gripper: String,
-    /// Where the device was found at the newest attempt to connect.
+    /// Ends at which the device was found at the newest attempt to connect.
     ends: Vec<DeviceEnd>,
 }
 

@@ -17,7 +17,7 @@ pub enum InvalidWebUrl {
     Host(InvalidHost),
 }
 
-/// A host that looks like an IPv4 address, and is none.
+/// A host that looks like an IPv4 address, and is not one.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "{0:?}, which is not a plain IPv4 address: write four decimal numbers from 0 to 255 without leading zeros, such as \

@@ -1,7 +1,8 @@
 //! Byte pipes to devices, independent of the protocol.
 //!
 //! An [`Address`] is a device's URL, and [`Address::connect`] opens a [`Pipe`] to the device. Each write to the pipe's
-//! writer must be one frame. On slow lines, a flush completes once the frame has been transmitted.
+//! writer must be one frame. On slow lines, a flush completes once the frame has been transmitted. "Field practice" in
+//! a comment refers to the section of this name in `src/rulings.md`.
 
 mod address;
 pub mod can;
@@ -42,7 +43,7 @@ pub struct Pipe {
     /// Bytes to the device, one frame per write. A flush ends when the frame is on the line, so that no frame waits in
     /// a buffer where a FAST STOP cannot overtake it.
     pub writer: Box<dyn AsyncWrite + Send + Unpin>,
-    /// Discards the bytes that the operating system has not sent yet, when the pipe is closed; `None` if there are none.
+    /// Discards the bytes that the operating system has not sent yet, when the pipe is closed; `None` without any.
     pub discard_unsent: Option<Box<dyn Fn() + Send + Sync>>,
     /// First other address that bytes came from. They are ignored; the address helps to find a wrong configuration.
     pub stranger: Arc<OnceLock<IpAddr>>,

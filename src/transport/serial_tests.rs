@@ -59,7 +59,13 @@ async fn port_is_opened_exclusively() {
     let error = address(path.clone(), 9600).connect().await.unwrap_err().to_string();
     assert!(error.contains("is in use"), "{error}");
     drop(first);
-    address(path, 9600).connect().await.unwrap();
+    // A process that another test starts holds the lock, too, until it executes its program.
+    let opened = async {
+        while address(path.clone(), 9600).connect().await.is_err() {
+            tokio::task::yield_now().await;
+        }
+    };
+    tokio::time::timeout(Duration::from_secs(10), opened).await.unwrap();
 }
 
 /// After a SIGKILL, nothing else would end the exclusive access to a pty.

@@ -4,23 +4,22 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use crate::gripper::model::{Kind, PartId};
 use crate::journal::{Distribution, NEWEST_WEIGHS};
+use crate::model::{Kind, PartId};
+use crate::settings::{decimal, settings};
 
 /// Number of grips that a chart learns from before it can warn.
 const LEARNED_FROM: u64 = 30;
 
-/// Default limits. With the usual three standard deviations, a chart raises a false warning about once in 500 grips, and
-/// more often if it has learned from few grips.
-pub const DEFAULT_DRIFT_LIMITS: DriftLimits = DriftLimits { sigmas: 6.0, min_mm: 0.05 };
-
-/// Distances of the moving average from the learned mean that count as drift. The larger one applies.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct DriftLimits {
-    /// Standard deviations of the average.
-    pub sigmas: f64,
-    /// Distance in mm.
-    pub min_mm: f64,
+settings! {
+    /// Distances of the moving average from the learned mean that count as drift. The larger one applies.
+    #[derive(Copy)]
+    pub struct DriftLimits {
+        /// Drift limit, as a number of standard deviations of the moving average.
+        pub sigmas: f64 = "sigmas", decimal(6.0, 1.0..=100.0), Reload;
+        /// Smallest drift limit, in mm. It applies if the limit from `sigmas` is smaller.
+        pub min_mm: f64 = "min_mm", decimal(0.05, 0.001..=100.0), Reload;
+    }
 }
 
 /// Chart of the widths at which a gripper meets a part.

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
-use crate::gripper::model::{Client, Text};
+use crate::model::{Client, Text};
 
 /// Id of a finger set, e.g. the number that is engraved on it.
 pub type FingerSetId = Text<48>;

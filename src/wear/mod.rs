@@ -19,15 +19,15 @@ use tokio::sync::oneshot;
 use tokio_util::sync::CancellationToken;
 
 use crate::gripper::Now;
-use crate::gripper::model::{
+use crate::gripper::recorder::{Record, Recorder as _};
+use crate::journal::{Cursor, GripQuery, GripUpdate, Journal, Limit, Order};
+use crate::model::{
     AlarmKind, Client, Detail, Event, FingerSetChange, Kind, Name, Outcome, PartId, PersistedKey, PersistedState,
     SettingChange, SettingsEvent,
 };
-use crate::gripper::recorder::{Record, Recorder as _};
-use crate::journal::{Cursor, GripQuery, GripUpdate, Journal, Limit, Order};
 use drift::DriftChart;
 
-pub use drift::{DEFAULT_DRIFT_LIMITS, DriftLimits};
+pub use drift::DriftLimits;
 pub use finger_set::{FingerSet, FingerSetId, MountRequest};
 
 /// Maximum number of charts of a gripper. Beyond that, the least recently used chart is dropped, one that still learns

@@ -3,8 +3,8 @@ use rand::{RngExt as _, SeedableRng as _};
 use serde_json::{Value, json};
 
 use super::*;
-use crate::gripper::model::Door;
 use crate::journal::{JournalLocation, NEWEST_WEIGHS, Retention};
+use crate::model::Door;
 
 fn left() -> Name {
     "left".parse().unwrap()
@@ -72,7 +72,7 @@ fn noise() -> impl FnMut() -> f64 {
 
 #[test]
 fn warning_begins_exactly_at_the_limit() {
-    let mut worn = Worn::with(DEFAULT_DRIFT_LIMITS);
+    let mut worn = Worn::with(DriftLimits::default());
     for _ in 0..200 {
         worn.grip(20.0);
     }
@@ -92,7 +92,7 @@ fn warning_begins_exactly_at_the_limit() {
 
 #[test]
 fn first_thirty_grips_are_learned_without_a_warning() {
-    let mut worn = Worn::with(DEFAULT_DRIFT_LIMITS);
+    let mut worn = Worn::with(DriftLimits::default());
     for number in 0..30 {
         worn.grip(20.0 + f64::from(number));
         assert!(!worn.is_drifting());
@@ -102,13 +102,13 @@ fn first_thirty_grips_are_learned_without_a_warning() {
         worn.grip(60.0);
         assert!(!worn.is_drifting(), "drift is not watched");
     }
-    worn.wear.set_limits(Some(DEFAULT_DRIFT_LIMITS));
+    worn.wear.set_limits(Some(DriftLimits::default()));
     assert!(worn.is_drifting(), "without a further grip");
 }
 
 #[test]
 fn spread_alone_raises_no_warning() {
-    let (mut worn, mut noise) = (Worn::with(DriftLimits { min_mm: 0.001, ..DEFAULT_DRIFT_LIMITS }), noise());
+    let (mut worn, mut noise) = (Worn::with(DriftLimits { min_mm: 0.001, ..DriftLimits::default() }), noise());
     let mut warned = 0;
     for _ in 0..20_000 {
         worn.grip(20.0 + 0.05 * noise());
@@ -123,7 +123,7 @@ fn spread_alone_raises_no_warning() {
 
 #[test]
 fn drift_ends_within_half_of_the_limit() {
-    let mut worn = Worn::with(DEFAULT_DRIFT_LIMITS);
+    let mut worn = Worn::with(DriftLimits::default());
     (0..30).for_each(|_| worn.grip(20.0));
     (0..30).for_each(|_| worn.grip(20.06));
     assert!(worn.is_drifting());
@@ -135,7 +135,7 @@ fn drift_ends_within_half_of_the_limit() {
 
 #[test]
 fn parts_gauges_and_recipes_are_learned_separately() {
-    let mut worn = Worn::with(DEFAULT_DRIFT_LIMITS);
+    let mut worn = Worn::with(DriftLimits::default());
     let other = |name: &str, value: Value| {
         let mut record = grip(25.0);
         record[name] = value;
@@ -166,7 +166,7 @@ fn parts_gauges_and_recipes_are_learned_separately() {
 
 #[test]
 fn finger_set_counts_until_another_is_mounted() {
-    let mut worn = Worn::with(DEFAULT_DRIFT_LIMITS);
+    let mut worn = Worn::with(DriftLimits::default());
     worn.grip(20.0);
     assert_eq!(worn.wear.finger_set(&left()), None);
     let first = worn.mount("F-1", false);
@@ -190,7 +190,7 @@ fn finger_set_counts_until_another_is_mounted() {
 
 #[test]
 fn grip_that_began_before_the_mount_is_not_counted() {
-    let mut worn = Worn::with(DEFAULT_DRIFT_LIMITS);
+    let mut worn = Worn::with(DriftLimits::default());
     let mounted = worn.mount("F-2", false);
     let mut grip_before = |time: SignedDuration| {
         let mut record = grip(20.0);
@@ -206,7 +206,7 @@ fn grip_that_began_before_the_mount_is_not_counted() {
 
 #[test]
 fn new_fingers_are_learned_again() {
-    let mut worn = Worn::with(DEFAULT_DRIFT_LIMITS);
+    let mut worn = Worn::with(DriftLimits::default());
     (0..30).for_each(|_| worn.grip(20.0));
     (0..30).for_each(|_| worn.grip(20.1));
     assert!(worn.is_drifting());
@@ -217,7 +217,7 @@ fn new_fingers_are_learned_again() {
 
 #[test]
 fn charts_are_bounded() {
-    let mut worn = Worn::with(DEFAULT_DRIFT_LIMITS);
+    let mut worn = Worn::with(DriftLimits::default());
     (0..30).for_each(|_| worn.grip(20.0));
     for number in 0..MAX_CHARTS {
         let mut record = grip(20.0);
@@ -231,14 +231,14 @@ fn charts_are_bounded() {
 
 #[test]
 fn wear_outlives_a_restart() {
-    let mut worn = Worn::with(DEFAULT_DRIFT_LIMITS);
+    let mut worn = Worn::with(DriftLimits::default());
     worn.mount("F-1", false);
     (0..30).for_each(|_| worn.grip(20.0));
     (0..30).for_each(|_| worn.grip(20.1));
     let before = worn.wear.known().grippers.clone();
     let value = Some(serde_json::to_string(&before[&left()]).unwrap());
     let persisted = [PersistedState { gripper: left(), key: PersistedKey::Wear, value }];
-    let restored = Wear::new(worn.wear.journal.clone(), Some(DEFAULT_DRIFT_LIMITS), &persisted);
+    let restored = Wear::new(worn.wear.journal.clone(), Some(DriftLimits::default()), &persisted);
     assert_eq!(restored.known().grippers, before);
     assert_eq!(restored.conditions(&left()), worn.wear.conditions(&left()));
     assert_eq!(restored.conditions(&left()).len(), 2);

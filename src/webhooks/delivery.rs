@@ -11,7 +11,7 @@ use ring::hmac;
 use sha2::{Digest as _, Sha256};
 
 use super::settings::{Receiver, SigningSecret};
-use crate::gripper::model::Name;
+use crate::model::Name;
 
 /// Number of bytes of the body's hash in an id. The hash keeps ids unique after a new journal starts its numbers again.
 const ID_HASH_BYTES: usize = 8;

@@ -7,7 +7,7 @@ use prometheus::proto::MetricFamily;
 use prometheus::{IntCounter, IntGauge, Opts, Registry, Result};
 
 use super::Webhook;
-use crate::gripper::model::Name;
+use crate::model::Name;
 
 #[derive(Debug, Clone)]
 pub(super) struct WebhookMetrics {
@@ -34,11 +34,22 @@ impl WebhookMetrics {
 
 /// Registers a webhook's metrics.
 pub(super) fn register(registry: &Registry, webhook: &Arc<Webhook>) -> Result<()> {
-    registry.register(Box::new(webhook.metrics.deliveries.clone()))?;
-    registry.register(Box::new(webhook.metrics.failures.clone()))?;
+    collectors(webhook)?.into_iter().try_for_each(|collector| registry.register(collector))
+}
+
+/// Removes the metrics of a webhook that has ended.
+pub(super) fn unregister(registry: &Registry, webhook: &Arc<Webhook>) -> Result<()> {
+    collectors(webhook)?.into_iter().try_for_each(|collector| registry.unregister(collector))
+}
+
+fn collectors(webhook: &Arc<Webhook>) -> Result<[Box<dyn Collector>; 3]> {
     let waiting = opts(webhook.name(), "wsg_webhook_waiting_events", "Events that the webhook has yet to handle.");
     let waiting = IntGauge::with_opts(waiting)?;
-    registry.register(Box::new(Backlog { webhook: webhook.clone(), waiting }))
+    Ok([
+        Box::new(webhook.metrics.deliveries.clone()),
+        Box::new(webhook.metrics.failures.clone()),
+        Box::new(Backlog { webhook: webhook.clone(), waiting }),
+    ])
 }
 
 fn opts(webhook: &Name, name: &str, help: &str) -> Opts {

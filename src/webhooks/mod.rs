@@ -12,7 +12,7 @@ mod settings;
 mod tests;
 mod worker;
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
 use std::time::Duration;
 
 use http::StatusCode;
@@ -25,8 +25,8 @@ use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
 use crate::gripper::Now;
-use crate::gripper::model::{Name, PersistedKey, PersistedState};
 use crate::journal::{EventKind, Journal};
+use crate::model::{Name, PersistedKey, PersistedState};
 use client::WebhookClient;
 use delivery::Delivery;
 use metrics::WebhookMetrics;
@@ -36,44 +36,141 @@ pub use client::DeliveryFailure;
 pub use settings::{Authorities, InvalidSetting, Receiver, SigningSecret, WebhookSettings};
 
 /// Parts of the gateway that webhooks use.
-#[derive(Debug)]
-pub struct WebhookContext<'a> {
-    pub gateway: &'a Name,
-    pub journal: &'a Journal,
-    /// Persisted values of earlier runs.
-    pub persisted: &'a [PersistedState],
-    pub registry: &'a Registry,
+#[derive(Debug, Clone)]
+pub struct WebhookContext {
+    pub gateway: Name,
+    pub journal: Journal,
+    pub registry: Registry,
     /// Ends the webhooks on shutdown.
-    pub closing: &'a CancellationToken,
-    pub runtime: &'a Handle,
+    pub closing: CancellationToken,
+    pub runtime: Handle,
 }
 
-/// All webhooks of the gateway.
+/// All webhooks of the gateway. Clones of the list stay valid while a reload changes it.
 #[derive(Debug, Default)]
-pub struct Webhooks {
-    webhooks: Vec<Arc<Webhook>>,
+pub struct Webhooks(RwLock<Vec<Arc<Webhook>>>);
+
+/// Starts, changes and ends the webhooks.
+#[derive(Debug)]
+pub struct WebhookRunner {
+    context: WebhookContext,
+    webhooks: Arc<Webhooks>,
     tasks: TaskTracker,
 }
 
+/// Webhooks of a new configuration, which are not started yet.
+#[derive(Debug)]
+pub struct WebhookChanges {
+    /// All webhooks, in the order of the configuration.
+    all: Vec<PreparedWebhook>,
+}
+
+#[derive(Debug)]
+enum PreparedWebhook {
+    /// A webhook whose settings stay.
+    Kept(Arc<Webhook>),
+    New(Box<NewWebhook>),
+}
+
+#[derive(Debug)]
+struct NewWebhook {
+    settings: WebhookSettings,
+    client: WebhookClient,
+}
+
+impl WebhookChanges {
+    fn keeps(&self, webhook: &Arc<Webhook>) -> bool {
+        self.all.iter().any(|change| matches!(change, PreparedWebhook::Kept(kept) if Arc::ptr_eq(kept, webhook)))
+    }
+}
+
 impl Webhooks {
-    /// Starts a task for each webhook.
+    /// Returns the webhooks, in the order of the configuration.
+    #[must_use]
+    pub fn all(&self) -> Vec<Arc<Webhook>> {
+        self.0.read().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Returns the webhook with this name.
+    #[must_use]
+    pub fn find(&self, name: &str) -> Option<Arc<Webhook>> {
+        self.all().into_iter().find(|webhook| webhook.name().as_str() == name)
+    }
+}
+
+impl WebhookRunner {
+    #[must_use]
+    pub fn new(context: WebhookContext) -> Self {
+        Self { context, webhooks: Arc::default(), tasks: TaskTracker::new() }
+    }
+
+    #[must_use]
+    pub fn webhooks(&self) -> &Arc<Webhooks> {
+        &self.webhooks
+    }
+
+    /// Compares the webhooks with new settings, and prepares what is new.
     ///
     /// # Errors
-    /// A TLS configuration or a metric is invalid.
-    pub fn start(settings: &[WebhookSettings], context: &WebhookContext<'_>) -> anyhow::Result<Self> {
-        let mut all = Self::default();
+    /// A TLS configuration is invalid.
+    pub fn prepare(&self, settings: &[WebhookSettings]) -> anyhow::Result<WebhookChanges> {
+        let running = self.webhooks.all();
+        let mut all = Vec::new();
         for settings in settings {
-            let is_position =
-                |state: &&PersistedState| state.gripper == settings.name && state.key == PersistedKey::Webhook;
-            let persisted = context.persisted.iter().find(is_position);
-            let position = persisted.and_then(|state| state.value.as_ref()?.parse().ok());
-            let webhook = Webhook::new(settings, context, position)?;
-            metrics::register(context.registry, &webhook)?;
-            let worker = Worker::new(webhook.clone(), context.closing.clone(), position);
-            all.tasks.spawn_on(worker.run(), context.runtime);
-            all.webhooks.push(webhook);
+            if let Some(webhook) = running.iter().find(|webhook| webhook.settings == *settings) {
+                all.push(PreparedWebhook::Kept(webhook.clone()));
+                continue;
+            }
+            let client = WebhookClient::new(settings.receiver.clone(), &settings.authorities)?;
+            all.push(PreparedWebhook::New(Box::new(NewWebhook { settings: settings.clone(), client })));
         }
-        Ok(all)
+        Ok(WebhookChanges { all })
+    }
+
+    /// Ends removed and changed webhooks, and starts changed and new ones. A changed webhook continues after the newest
+    /// event that it has delivered; a new one continues at its persisted position, if it has one.
+    ///
+    /// # Errors
+    /// A metric cannot be registered.
+    pub async fn apply(&self, changes: WebhookChanges, persisted: &[PersistedState]) -> anyhow::Result<()> {
+        let before = self.webhooks.all();
+        let ending: Vec<_> = before.iter().filter(|webhook| !changes.keeps(webhook)).collect();
+        for webhook in &ending {
+            webhook.ending.cancel();
+        }
+        for webhook in ending {
+            webhook.ended.cancelled().await;
+            metrics::unregister(&self.context.registry, webhook)?;
+        }
+        let mut all = Vec::new();
+        for change in changes.all {
+            let webhook = match change {
+                PreparedWebhook::Kept(webhook) => webhook,
+                PreparedWebhook::New(new) => {
+                    let name = &new.settings.name;
+                    let former = before.iter().find(|webhook| webhook.name() == name);
+                    let position = former.map(|webhook| webhook.progress().position);
+                    let stored = position.or_else(|| stored_position(persisted, name));
+                    self.start(*new, stored)?
+                }
+            };
+            all.push(webhook);
+        }
+        *self.webhooks.0.write().unwrap_or_else(PoisonError::into_inner) = all;
+        Ok(())
+    }
+
+    fn start(&self, new: NewWebhook, stored: Option<i64>) -> anyhow::Result<Arc<Webhook>> {
+        let webhook = Webhook::new(new, &self.context, stored)?;
+        metrics::register(&self.context.registry, &webhook)?;
+        let worker = Worker::new(webhook.clone(), stored);
+        let ended = webhook.ended.clone().drop_guard();
+        let running = async move {
+            let _ended = ended;
+            worker.run().await;
+        };
+        self.tasks.spawn_on(running, &self.context.runtime);
+        Ok(webhook)
     }
 
     /// Waits until all tasks have ended and passed their positions to the journal.
@@ -81,10 +178,12 @@ impl Webhooks {
         self.tasks.close();
         self.tasks.wait().await;
     }
+}
 
-    pub fn iter(&self) -> impl Iterator<Item = &Arc<Webhook>> {
-        self.webhooks.iter()
-    }
+/// Returns the position that an earlier run of a webhook has stored.
+fn stored_position(persisted: &[PersistedState], name: &Name) -> Option<i64> {
+    let state = persisted.iter().find(|state| state.gripper == *name && state.key == PersistedKey::Webhook)?;
+    state.value.as_ref()?.parse().ok()
 }
 
 /// One webhook.
@@ -101,6 +200,10 @@ pub struct Webhook {
     /// Permit for a test delivery, one at a time.
     testing: Arc<Semaphore>,
     metrics: WebhookMetrics,
+    /// Ends the webhook's task.
+    ending: CancellationToken,
+    /// Cancelled when the task has ended.
+    ended: CancellationToken,
 }
 
 /// Progress of a webhook through the journal.
@@ -113,6 +216,8 @@ pub struct WebhookProgress {
     pub last_error: Option<String>,
     /// Failed attempts since the last success.
     pub failed_attempts: u32,
+    /// Time of the first of them.
+    pub failing_since: Option<std::time::Instant>,
     /// Time of the next attempt, after a failed one.
     pub retry_at: Option<Timestamp>,
 }
@@ -132,22 +237,24 @@ pub struct Tested {
 
 impl Webhook {
     fn new(
-        settings: &WebhookSettings,
-        context: &WebhookContext<'_>,
+        NewWebhook { settings, client }: NewWebhook,
+        context: &WebhookContext,
         position: Option<i64>,
     ) -> anyhow::Result<Arc<Self>> {
         // A new webhook delivers only events from now on.
         let position = position.unwrap_or_else(|| context.journal.last_seq());
         Ok(Arc::new(Self {
             gateway: context.gateway.clone(),
-            client: WebhookClient::new(settings.receiver.clone(), &settings.authorities)?,
+            client,
             journal: context.journal.clone(),
             runtime: context.runtime.clone(),
             progress: Mutex::new(WebhookProgress { position, ..WebhookProgress::default() }),
             retry: Notify::new(),
             testing: Arc::new(Semaphore::new(1)),
             metrics: WebhookMetrics::new(&settings.name)?,
-            settings: settings.clone(),
+            ending: context.closing.child_token(),
+            ended: CancellationToken::new(),
+            settings,
         }))
     }
 

@@ -10,8 +10,8 @@ use tokio_rustls::rustls::RootCertStore;
 use tokio_rustls::rustls::pki_types::{CertificateDer, ServerName, TrustAnchor, pem::PemObject as _};
 use url::{Position, Url};
 
-use crate::gripper::model::Name;
 use crate::journal::EventKind;
+use crate::model::Name;
 use crate::transport::host::parse_web_url;
 
 /// Prefix of a secret in text form (Standard Webhooks, "Signature scheme").

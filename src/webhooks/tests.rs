@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
+use futures_util::FutureExt as _;
 use jiff::SignedDuration;
 use ring::hmac;
 use serde_json::Value;
@@ -17,9 +18,9 @@ use tokio_rustls::rustls::ServerConfig;
 use tokio_rustls::rustls::pki_types::PrivateKeyDer;
 
 use super::*;
-use crate::gripper::model::{Detail, Event, Link, LinkEvent};
 use crate::gripper::recorder::{Record, Recorder as _};
 use crate::journal::{EventQuery, JournalLocation, Order, Recovered, Retention};
+use crate::model::{Detail, Event, Link, LinkEvent};
 
 const SECRET: &str = "whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw";
 
@@ -164,7 +165,7 @@ async fn record(journal: &Journal, count: usize) {
 
 /// A run of the webhooks.
 struct Run {
-    webhooks: Webhooks,
+    runner: WebhookRunner,
     closing: CancellationToken,
     registry: Registry,
 }
@@ -172,24 +173,29 @@ struct Run {
 impl Run {
     fn start(settings: WebhookSettings, (journal, recovered): &(Journal, Recovered)) -> Self {
         let (closing, registry) = (CancellationToken::new(), Registry::new());
-        let context = WebhookContext {
-            gateway: &"cell-7".parse().unwrap(),
-            journal,
-            persisted: &recovered.memory,
-            registry: &registry,
-            closing: &closing,
-            runtime: &Handle::current(),
-        };
-        let webhooks = Webhooks::start(&[settings], &context).unwrap();
-        Self { webhooks, closing, registry }
+        let runner = WebhookRunner::new(WebhookContext {
+            gateway: "cell-7".parse().unwrap(),
+            journal: journal.clone(),
+            registry: registry.clone(),
+            closing: closing.clone(),
+            runtime: Handle::current(),
+        });
+        // No webhook has to end first, so nothing is awaited.
+        let changes = runner.prepare(&[settings]).unwrap();
+        runner.apply(changes, &recovered.memory).now_or_never().unwrap().unwrap();
+        Self { runner, closing, registry }
     }
 
-    fn webhook(&self) -> &Arc<Webhook> {
-        self.webhooks.iter().next().unwrap()
+    async fn reload(&self, settings: &[WebhookSettings]) {
+        self.runner.apply(self.runner.prepare(settings).unwrap(), &[]).await.unwrap();
+    }
+
+    fn webhook(&self) -> Arc<Webhook> {
+        self.runner.webhooks().all()[0].clone()
     }
 
     async fn until(&self, wanted: impl Fn(&Webhook) -> bool) {
-        while !wanted(self.webhook()) {
+        while !wanted(&self.webhook()) {
             tokio::task::yield_now().await;
         }
     }
@@ -200,7 +206,7 @@ impl Run {
 
     async fn end(self) {
         self.closing.cancel();
-        self.webhooks.ended().await;
+        self.runner.ended().await;
     }
 }
 
@@ -244,7 +250,7 @@ async fn failed_delivery_is_repeated_before_later_events() {
     assert_eq!(receiver.next().await.seq(), 2);
     run.until(|webhook| webhook.waiting() == 0).await;
     let progress = run.webhook().progress();
-    assert_eq!((progress.failed_attempts, progress.retry_at), (0, None));
+    assert_eq!((progress.failed_attempts, progress.retry_at, progress.failing_since), (0, None, None));
     let error = progress.last_error.unwrap();
     assert!(error.contains("302") && error.contains("redirects") && !error.contains("s3cret"), "{error}");
     let figures = run.figures();
@@ -280,7 +286,7 @@ async fn only_chosen_kinds_are_delivered() {
     let run = Run::start(settings, &opened);
     record(&opened.0, 3).await;
     let (written, is_written) = oneshot::channel();
-    let started = crate::gripper::model::GatewayEvent::Started { version: "1", gateway: "cell-7".to_owned() };
+    let started = crate::model::GatewayEvent::Started { version: "1", gateway: "cell-7".to_owned() };
     let event = Event::new(Now::read().wall, None, Detail::Gateway(started));
     opened.0.record(Record::Event(event, Some(written)));
     is_written.await.unwrap();
@@ -312,6 +318,42 @@ async fn position_is_kept_over_restarts() {
         }
         opened.0.close().await.unwrap();
     }
+}
+
+#[tokio::test]
+async fn changed_webhook_continues_and_an_unchanged_one_is_left_alone() {
+    let [mut first, mut second] = [TestReceiver::start(&[]).await, TestReceiver::start(&[]).await];
+    let opened = in_memory();
+    let run = Run::start(first.settings(), &opened);
+    record(&opened.0, 2).await;
+    assert_eq!((first.next().await.seq(), first.next().await.seq()), (1, 2));
+    run.until(|webhook| webhook.waiting() == 0).await;
+    let before = run.webhook();
+    run.reload(&[first.settings()]).await;
+    assert!(Arc::ptr_eq(&before, &run.webhook()), "the same settings");
+    run.reload(&[second.settings()]).await;
+    record(&opened.0, 2).await;
+    assert_eq!((second.next().await.seq(), second.next().await.seq()), (3, 4));
+    run.until(|webhook| webhook.waiting() == 0).await;
+    assert!(first.got.try_recv().is_err());
+    assert!(run.figures().contains("wsg_webhook_deliveries_total{webhook=\"mes\"} 2"), "{}", run.figures());
+    run.reload(&[]).await;
+    assert!(run.runner.webhooks().all().is_empty() && run.figures().is_empty(), "{}", run.figures());
+    run.end().await;
+}
+
+#[tokio::test]
+async fn changed_webhook_repeats_what_the_old_receiver_refused() {
+    let mut first = TestReceiver::start(&["503 Service Unavailable\r\nRetry-After: 600\r\n"]).await;
+    let mut second = TestReceiver::start(&[]).await;
+    let opened = in_memory();
+    let run = Run::start(first.settings(), &opened);
+    record(&opened.0, 1).await;
+    let refused = first.next().await;
+    run.until(|webhook| webhook.progress().retry_at.is_some()).await;
+    run.reload(&[second.settings()]).await;
+    assert_eq!(second.next().await.id(), refused.id());
+    run.end().await;
 }
 
 #[tokio::test]

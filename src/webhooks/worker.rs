@@ -7,16 +7,15 @@ use jiff::Timestamp;
 use rand::RngExt as _;
 use serde_json::json;
 use tokio::time::sleep;
-use tokio_util::sync::CancellationToken;
 
 use super::Webhook;
 use super::client::DeliveryFailure;
 use super::delivery::Delivery;
 use crate::gripper::Now;
-use crate::gripper::clock::sleep_until;
-use crate::gripper::model::{PersistedKey, PersistedState};
 use crate::gripper::recorder::{Record, Recorder as _};
 use crate::journal::{Filter, StreamItem};
+use crate::model::clock::sleep_until;
+use crate::model::{PersistedKey, PersistedState};
 
 /// Time after which a new position is stored. After a kill, the gateway repeats the deliveries of this time.
 const STORED_AFTER: Duration = Duration::from_secs(1);
@@ -33,12 +32,11 @@ const LONGEST_RETRY_AFTER: Duration = Duration::from_hours(1);
 /// Pause after the journal could not be read.
 const READ_RETRY_PAUSE: Duration = Duration::from_secs(1);
 
-/// Time for an attempt in progress to end at shutdown, so that the next start does not repeat it.
+/// Time for an attempt in progress to end with the webhook, so that the next start does not repeat it.
 const FINISHED_WITHIN: Duration = Duration::from_secs(2);
 
 pub(super) struct Worker {
     webhook: Arc<Webhook>,
-    closing: CancellationToken,
     /// Position that was stored last; `None` if none was stored yet.
     stored: Option<i64>,
     /// Time at which a newer position will be stored.
@@ -46,11 +44,11 @@ pub(super) struct Worker {
 }
 
 impl Worker {
-    pub(super) fn new(webhook: Arc<Webhook>, closing: CancellationToken, stored: Option<i64>) -> Self {
-        Self { webhook, closing, stored, store_at: None }
+    pub(super) fn new(webhook: Arc<Webhook>, stored: Option<i64>) -> Self {
+        Self { webhook, stored, store_at: None }
     }
 
-    /// Delivers events until the gateway or the journal closes.
+    /// Delivers events until the webhook or the journal ends.
     pub(super) async fn run(mut self) {
         let mut events = self.webhook.journal.follow(Some(self.webhook.lock().position), Filter::default());
         // Without a stored position, a restart before the first delivery would skip the events until then.
@@ -58,7 +56,7 @@ impl Worker {
         loop {
             let item = tokio::select! {
                 biased;
-                () = self.closing.cancelled() => break,
+                () = self.webhook.ending.cancelled() => break,
                 () = sleep_until(self.store_at) => {
                     self.store();
                     continue;
@@ -91,11 +89,11 @@ impl Worker {
         self.store();
     }
 
-    /// Repeats a delivery until the receiver accepts it. Returns `false` if the gateway shuts down before.
+    /// Repeats a delivery until the receiver accepts it. Returns `false` if the webhook ends before.
     async fn deliver(&mut self, delivery: &Delivery) -> bool {
         loop {
             let too_late = async {
-                self.closing.cancelled().await;
+                self.webhook.ending.cancelled().await;
                 sleep(FINISHED_WITHIN).await;
             };
             let result = tokio::select! {
@@ -114,7 +112,7 @@ impl Worker {
                     self.pause(pause).await;
                 }
             }
-            if self.closing.is_cancelled() {
+            if self.webhook.ending.is_cancelled() {
                 return false;
             }
         }
@@ -127,15 +125,16 @@ impl Worker {
             tracing::info!(webhook = %self.webhook.name(), attempts = progress.failed_attempts, "webhook recovered");
         }
         progress.last_success_at = Some(Now::read().wall);
-        (progress.failed_attempts, progress.retry_at) = (0, None);
+        (progress.failed_attempts, progress.retry_at, progress.failing_since) = (0, None, None);
     }
 
     /// Notes a failed attempt, and returns the pause before the next one.
     fn failed(&self, failure: &DeliveryFailure) -> Duration {
         self.webhook.metrics.failures.inc();
-        let now = Now::read().wall;
+        let Now { instant, wall: now, .. } = Now::read();
         let mut progress = self.webhook.lock();
         progress.failed_attempts = progress.failed_attempts.saturating_add(1);
+        progress.failing_since.get_or_insert(instant);
         let pause = pause(progress.failed_attempts, failure.retry_after(), rand::rng().random());
         let error = failure.to_string();
         let retry_in_s = pause.as_secs();
@@ -149,12 +148,12 @@ impl Worker {
         pause
     }
 
-    /// Waits, unless the gateway shuts down or a test delivery succeeds.
+    /// Waits, unless the webhook ends or a test delivery succeeds.
     async fn pause(&self, pause: Duration) {
         tokio::select! {
             () = sleep(pause) => {}
             () = self.webhook.retry.notified() => {}
-            () = self.closing.cancelled() => {}
+            () = self.webhook.ending.cancelled() => {}
         }
     }
 

@@ -13,7 +13,7 @@ fn updates() -> Updates {
 }
 
 /// One command of each kind, for both fingers.
-pub(in crate::wsg) fn every_command() -> Vec<Command> {
+pub(crate) fn every_command() -> Vec<Command> {
     let flags = MoveFlags { relative: true, stop_on_block: true };
     let mut commands = vec![
         Command::Loop(LoopData::new(vec![0xAA; 256]).unwrap()),

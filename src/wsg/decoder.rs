@@ -93,7 +93,7 @@ enum OpaqueIds {
     Some(Vec<u8>),
 }
 
-/// Where the next frame can begin.
+/// Position at which the next frame can begin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Boundary {
     /// At any preamble.

@@ -1,5 +1,5 @@
 use super::*;
-use crate::wsg::frame::encode;
+use crate::frame::encode;
 
 fn decoder() -> Decoder {
     Decoder::new(|_| 300, ChecksumEvaluation::On)

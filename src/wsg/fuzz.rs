@@ -5,7 +5,10 @@ use super::{ChecksumEvaluation, Command, Decoded, Decoder, Reply, frame, id};
 /// Checks that the findings in a stream do not depend on how it is split, that each byte is accounted for, and that no
 /// byte of a payload is taken for a frame. The first byte is the length of a piece; even lengths switch the evaluation
 /// of checksums off.
-pub(crate) fn frames(data: &[u8]) {
+///
+/// # Panics
+/// If a guarantee does not hold.
+pub fn frames(data: &[u8]) {
     let Some((&piece, stream)) = data.split_first() else { return };
     let evaluation = if piece % 2 == 0 { ChecksumEvaluation::Off } else { ChecksumEvaluation::On };
     for new in [replies, Decoder::of_requests, requests_of_the_port] {
@@ -107,7 +110,10 @@ fn nested(evaluation: ChecksumEvaluation, bytes: &[u8]) {
 
 /// Checks that a parsed reply or request survives a round trip. The first byte is the id; no command has the id AAh, which
 /// a preamble would hide.
-pub(crate) fn payloads(data: &[u8]) {
+///
+/// # Panics
+/// If a guarantee does not hold.
+pub fn payloads(data: &[u8]) {
     let Some((&id, payload)) = data.split_first().filter(|(id, _)| **id != 0xAA) else { return };
     let payload = &payload[..payload.len().min(id::max_reply_bytes(id).max(id::max_request_bytes(id)))];
     if let Ok(reply) = Reply::parse(id, payload) {

@@ -47,7 +47,7 @@ impl MissedFastStop {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::wsg::Command;
+    use crate::Command;
 
     #[test]
     fn searched_bytes_are_a_fast_stop() {

@@ -2,10 +2,10 @@
 //!
 //! [`frame`] and [`decoder`] are the outermost layer, [`command`] and [`reply`] give a frame its meaning, and
 //! [`session`] is the state of one link: requests in flight, queued requests and late replies. Citations name a manual
-//! (`fw2`, `fw4-de`, `fw4-en`) and its section. If manuals contradict each other, a comment starts with "Ruling", and a
-//! `ruling_…` test enforces it.
+//! (`fw2`, `fw4-de`, `fw4-en`) and its section; `src/rulings.md` lists the manuals. If manuals contradict each other, a
+//! comment starts with "Ruling", and a `ruling_…` test enforces it.
 //!
-//! Architecture invariant: nothing here imports anything else of this crate.
+//! Architecture invariant: this crate depends on no other of this project.
 
 #![warn(missing_docs)]
 
@@ -14,8 +14,8 @@ pub mod crc;
 pub mod decoder;
 pub mod device;
 pub mod frame;
-#[cfg(any(test, fuzzing))]
-pub(crate) mod fuzz;
+#[cfg(any(test, fuzzing, feature = "fuzz"))]
+pub mod fuzz;
 pub mod id;
 mod missed_fast_stop;
 pub mod opening;

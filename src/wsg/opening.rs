@@ -63,7 +63,7 @@ impl Opening {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::wsg::frame::encode;
+    use crate::frame::encode;
 
     fn fast_stop() -> Vec<u8> {
         let mut bytes = Vec::new();

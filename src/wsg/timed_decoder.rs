@@ -10,9 +10,9 @@ pub const RESYNC_PAUSE: Duration = Duration::from_millis(5);
 
 /// A [`Decoder`] that gives up frames whose rest is overdue.
 ///
-/// A frame that is longer than it should be looks like one with a damaged size field. The time limit tells them apart:
-/// a true frame is complete within `frame_within` of its first byte. Further bytes do not extend this time, because a
-/// damaged size field must not hide the frames behind it for long.
+/// A frame that is longer than it should be looks like one with a damaged size field. The time limit
+/// distinguishes the two: a true frame is complete within `frame_within` of its first byte. Further bytes do not extend
+/// this time, because a damaged size field must not hide the frames behind it for long.
 #[derive(Debug)]
 pub struct TimedDecoder {
     decoder: Decoder,
@@ -82,6 +82,14 @@ impl TimedDecoder {
         }
     }
 
+    /// Gives up an incomplete frame at the end of a datagram: its rest cannot follow. The next datagram begins with a
+    /// frame. Call [`TimedDecoder::next`] until it returns `None` before this and afterwards.
+    pub fn end_datagram(&mut self) {
+        self.decoder.give_up_partial();
+        // The dropped bytes are looked at before the next ones.
+        self.heard = None;
+    }
+
     /// Whether the start of a frame is waiting for its remaining bytes.
     #[must_use]
     pub fn is_partial(&self) -> bool {
@@ -110,7 +118,7 @@ impl TimedDecoder {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::wsg::{ChecksumEvaluation, frame, id};
+    use crate::{ChecksumEvaluation, frame, id};
 
     const WITHIN: Duration = Duration::from_millis(100);
 

@@ -2,13 +2,28 @@
 
 use std::time::{Duration, Instant};
 
-use super::{Data, Updates, id};
+use super::{Command, Data, Updates, id};
 
 /// Shortest period in ms (fw4). fw2 names no minimum, but no device can keep a period of 0, so it applies there too.
 const MIN_PERIOD_MS: u16 = 10;
 
 /// Ids with automatic updates, in sending order.
 const IDS: [u8; 5] = [id::GET_SYSTEM_STATE, id::GET_GRIPPER_STATE, id::GET_WIDTH, id::GET_SPEED, id::GET_FORCE];
+
+impl Command {
+    /// The request of a getter with automatic updates; `None` for other ids.
+    #[must_use]
+    pub fn query(id: u8, updates: Updates) -> Option<Self> {
+        Some(match id {
+            id::GET_SYSTEM_STATE => Self::GetSystemState(updates),
+            id::GET_GRIPPER_STATE => Self::GetGripperState(updates),
+            id::GET_WIDTH => Self::GetWidth(updates),
+            id::GET_SPEED => Self::GetSpeed(updates),
+            id::GET_FORCE => Self::GetForce(updates),
+            _ => return None,
+        })
+    }
+}
 
 #[derive(Debug)]
 struct Subscription {
@@ -90,7 +105,7 @@ impl Subscriptions {
     }
 }
 
-/// Compares values by the manual's thresholds in mm, mm/s and N. A value that becomes unknown is no change.
+/// Compares values by the manual's thresholds in mm, mm/s and N. A value that becomes unknown is not a change.
 fn has_changed(last: Option<&Data>, value: Option<&Data>) -> bool {
     match (last, value) {
         (_, None) => false,

@@ -9,7 +9,7 @@ from wsg_client.api.fast_stop import acknowledge, fast_stop
 from wsg_client.api.grippers import get_state
 from wsg_client.api.journal import get_grip, list_events, list_grips
 from wsg_client.api.lease import release_lease, take_lease
-from wsg_client.api.motion import grip, home, move
+from wsg_client.api.motion import grip, home, move_to
 from wsg_client.models import (
     Acknowledge,
     Command,
@@ -50,7 +50,7 @@ assert ended(home.sync(GRIPPER, client=client, body=Home())).outcome is Outcome.
 
 lease = take_lease.sync(GRIPPER, client=client, body=Take(holder="python client"))
 assert isinstance(lease, Lease) and isinstance(lease.token, str), lease
-refused = move.sync(GRIPPER, client=client, body=Move(width_mm=50, speed_mm_s=200))
+refused = move_to.sync(GRIPPER, client=client, body=Move(width_mm=50, speed_mm_s=200))
 assert isinstance(refused, Problem) and refused.code.value == "lease_held", refused
 
 wanted = Grip(width_mm=20, speed_mm_s=100, force_n=40, part_id="P-1", lease=lease.token)

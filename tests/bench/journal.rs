@@ -14,15 +14,15 @@ use jiff::{SignedDuration, Timestamp};
 use prometheus::Registry;
 use tokio::sync::oneshot;
 use wsg_gateway::daemon::{ServedDevice, SimulatedDevice, Switch, serve_device};
-use wsg_gateway::gripper::model::{
-    Action, Admitted, Client, CommandEvent, CommandId, Detail, Done, Door, Event, GripRecord, IdSource, Kind,
-    LeaseRules, Link, LinkEvent, Motion, Name, Outcome, Parameters, PartId, RequestedValues, Sample, Submission,
-};
 use wsg_gateway::gripper::recorder::{NullRecorder, Record, Recorder, RestoredState};
 use wsg_gateway::gripper::{self, Connector, Handle};
 use wsg_gateway::journal::{
     EventKind, EventQuery, Filter, GripQuery, Journal, JournalLocation, Order, Page, Query, ReadError, Reader,
     Retention, verify,
+};
+use wsg_gateway::model::{
+    Action, Admitted, Client, CommandEvent, CommandId, Detail, Done, Door, Event, GripRecord, IdSource, Kind, Link,
+    LinkEvent, Motion, Name, Outcome, Parameters, PartId, RequestedValues, Sample, Submission,
 };
 use wsg_gateway::sim::DeviceConfig;
 use wsg_gateway::wsg::{HomingDirection, MoveFlags, Speed, Width};
@@ -109,7 +109,7 @@ fn done(at: Timestamp, part_id: Option<PartId>, outcome: Outcome) -> CommandEven
         part_id,
         code: None,
         cause: None,
-        requested: gripper::model::RequestedValues::default(),
+        requested: wsg_gateway::model::RequestedValues::default(),
     }))
 }
 
@@ -156,13 +156,7 @@ async fn gripper(recorder: Arc<dyn Recorder>) -> Result<(Handle, Switch), Error>
         gateway: "gateway".parse()?,
         url: address.url(),
         properties: address.properties(),
-        fast_stop_on_disconnect: true,
-        custom_ids: gripper::model::CustomIds::default(),
-        updates: gripper::model::UpdateRules::default(),
-        motion_pause: Duration::from_millis(50),
-        drain: Duration::from_secs(2),
-        on_journal_failure: gripper::model::OnJournalFailure::Refuse,
-        lease: LeaseRules::default(),
+        rules: wsg_gateway::model::GripperRules::default(),
         seed: 1,
         metrics: gripper::GripperMetrics::register(&Registry::new(), &name)?,
         name,

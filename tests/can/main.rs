@@ -22,7 +22,7 @@ use socketcan::{
 };
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::time::{sleep, timeout};
-use wsg_gateway::gripper::model::Link;
+use wsg_gateway::model::Link;
 use wsg_gateway::transport::{Address, CanAddress};
 use wsg_gateway::wsg::{Command, Data, LoopData, id};
 

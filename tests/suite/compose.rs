@@ -68,8 +68,10 @@ fn locked(name: &str) -> String {
 #[test]
 fn dockerfile_sources_exist() {
     let manifest: toml::Table = read("Cargo.toml").parse().unwrap();
-    let rust =
-        format!("docker.io/library/rust:{}-bookworm AS build", manifest["package"]["rust-version"].as_str().unwrap());
+    let rust = format!(
+        "docker.io/library/rust:{}-bookworm AS build",
+        manifest["workspace"]["package"]["rust-version"].as_str().unwrap()
+    );
     assert!(instructions("FROM").contains(&rust), "{:?}", instructions("FROM"));
     let ignored = read(".dockerignore");
     for copied in instructions("COPY").iter().filter(|copied| !copied.starts_with("--from")) {

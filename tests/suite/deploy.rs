@@ -56,6 +56,9 @@ async fn monitored_metrics_exist() {
     let histograms = series.iter().filter_map(|name| name.strip_suffix("_bucket"));
     let metrics: BTreeSet<_> = series.iter().copied().chain(histograms).collect();
 
+    // Without a token or a certificate that ends, these have no samples.
+    let of_credentials = ["wsg_token_expiry_timestamp_seconds", "wsg_certificate_expiry_timestamp_seconds"];
+    let metrics: BTreeSet<_> = metrics.into_iter().chain(of_credentials).collect();
     let texts = texts(&Path::new(env!("CARGO_MANIFEST_DIR")).join("deploy"));
     for (path, text) in &texts {
         let unknown: Vec<_> = named(text).difference(&metrics).copied().collect();

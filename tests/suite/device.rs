@@ -66,7 +66,7 @@ async fn device_tag_is_written_once_a_second_by_all_interfaces_together() {
     assert!(times[1] - times[0] >= Duration::from_millis(950), "{times:?}");
 }
 
-/// Its manual does not demand ASCII, so other programs may have set any tag.
+/// The manual of firmware 2 does not demand ASCII, so other programs may have set any tag.
 #[tokio::test]
 async fn device_tag_of_firmware_2_can_have_other_characters() {
     let device = Simulator::start(&["--firmware", "fw2", "--option", "device_tag=Prüfplatz 3"]).await;

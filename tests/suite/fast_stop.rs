@@ -8,11 +8,9 @@ use jiff::{SignedDuration, Timestamp};
 use prometheus::Registry;
 use serde_json::{Value, json};
 use wsg_gateway::gripper::actor::ActorConfig;
-use wsg_gateway::gripper::model::{
-    Client, CustomIds, Door, FastStopId, IdSource, LeaseRules, Link, Name, OnJournalFailure, Reason, State, UpdateRules,
-};
 use wsg_gateway::gripper::recorder::RestoredState;
 use wsg_gateway::gripper::{self, GripperMetrics, Handle, NullRecorder};
+use wsg_gateway::model::{Client, Door, FastStopId, GripperRules, IdSource, Link, Name, Reason, State};
 use wsg_gateway::transport::Address;
 
 use crate::harness::{Gateway, Proxy, Scripted, Simulator, Table, shortest, success};
@@ -158,13 +156,7 @@ fn spawned(device: SocketAddr, restored: RestoredState) -> Handle {
         name: name.clone(),
         url: address.to_string(),
         properties: address.properties(),
-        fast_stop_on_disconnect: true,
-        custom_ids: CustomIds::default(),
-        updates: UpdateRules::default(),
-        motion_pause: Duration::from_millis(50),
-        drain: Duration::from_secs(2),
-        on_journal_failure: OnJournalFailure::Refuse,
-        lease: LeaseRules::default(),
+        rules: GripperRules::default(),
         seed: 1,
         metrics: GripperMetrics::register(&Registry::new(), &name).unwrap(),
     };

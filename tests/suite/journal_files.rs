@@ -5,9 +5,9 @@ use std::path::Path;
 use jiff::Timestamp;
 use serde_json::json;
 use tokio::sync::oneshot;
-use wsg_gateway::gripper::model::{Detail, Event, GatewayEvent, Link, LinkEvent, Name};
 use wsg_gateway::gripper::recorder::{Record, Recorder as _};
 use wsg_gateway::journal::{Journal, JournalLocation, Retention};
+use wsg_gateway::model::{Detail, Event, GatewayEvent, Link, LinkEvent, Name};
 
 use crate::harness::{Gateway, JournalFile, Process, Simulator, eventually, run};
 

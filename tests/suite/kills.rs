@@ -9,8 +9,8 @@ use std::time::{Duration, Instant};
 
 use rand::RngExt;
 use serde_json::{Value, json};
-use wsg_gateway::gripper::model::{CommandReport, Outcome};
 use wsg_gateway::journal::{Journal, JournalLocation, Reader, Retention};
+use wsg_gateway::model::{CommandReport, Outcome};
 
 use crate::harness::{Answer, Gateway, JournalFile, run};
 

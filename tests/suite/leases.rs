@@ -99,7 +99,7 @@ async fn holder_killed_with_a_part_leaves_it_held() {
     gateway.post("grip", &grip).await.outcome("PART_HELD");
     let sent = proxy.frames.len();
     gateway.until("the holder is lost", |state| state["lease_holder"] == Value::Null).await;
-    let refused = gateway.post("move", &json!({"width_mm": 50, "speed_mm_s": 50})).await.problem(409, "lease_held");
+    let refused = gateway.post("move", &json!({"width_mm": 50, "speed_mm_s": 50})).await.problem(409, "reserved");
     assert_eq!((&refused["holder"], refused.get("expires_in_ms")), (&json!("robot"), None), "{refused}");
     let state = gateway.state().await;
     assert_eq!((&state["state"], &state["fast_stop"]), (&json!("HOLDING"), &json!(false)));
@@ -180,7 +180,7 @@ async fn frozen_gateway_keeps_the_lease_of_an_active_holder() {
     };
     let (renewed, ()) = tokio::join!(renewed, thawed);
     renewed.ok();
-    let state = gateway.state().await;
+    let state = gateway.until("the flags are known again", |state| !state["fast_stop"].is_null()).await;
     assert_eq!((&state["fast_stop"], &state["lease_holder"]), (&json!(false), &json!("robot")), "{state}");
     // A holder that stays silent is lost all the same.
     gateway.freeze();
@@ -236,4 +236,26 @@ async fn latch_and_epoch_survive_a_gateway_restart() {
     let gateway = Gateway::start(&arguments).await;
     gateway.until_link("connected").await;
     assert!(gateway.post("lease", &json!({})).await.ok()["epoch"].as_u64() > Some(2));
+}
+
+#[tokio::test]
+async fn reservation_ends_with_an_acknowledged_fast_stop() {
+    let device = Simulator::start(&["--part-mm", "20"]).await;
+    let gateway = Gateway::homed_at(device.address).await;
+    let token = take(&gateway, "plc-1", 500).await;
+    let grip = json!({"width_mm": 20, "speed_mm_s": 200, "force_n": 30});
+    let gripped = gateway.request("POST", "grip?wait_ms=20000").header("Wsg-Lease", &token).json(&grip);
+    gateway.send(gripped).await.outcome("PART_HELD");
+    gateway.until("the loss", |state| state["reserved_for"] == "plc-1").await;
+    let release = json!({"width_mm": 60, "speed_mm_s": 200});
+    gateway.post("release", &release).await.problem(409, "reserved");
+    gateway.post("fast-stop", &json!({})).await.ok();
+    let state = gateway.until("the confirmation", |state| state["fast_stop_confirmed"] == true).await;
+    // Until it is acknowledged, nothing is known of the part.
+    assert_eq!(state["reserved_for"], "plc-1");
+    gateway.post("acknowledge", &json!({"fast_stop_id": state["fast_stop_id"]})).await.ok();
+    gateway.until("the end of the reservation", |state| state["reserved_for"].is_null()).await;
+    assert_eq!(gateway.get("status").await.ok()["holding"], false);
+    gateway.post("home", &json!({})).await.outcome("SUCCESS");
+    take(&gateway, "robot", 500).await;
 }

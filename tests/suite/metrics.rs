@@ -71,6 +71,8 @@ async fn metrics_count_commands_and_stops() {
         ("wsg_updates_dropped_total{door=\"http\"}".to_owned(), 0.0),
         ("wsg_journal_up".to_owned(), 1.0),
         ("wsg_journal_damaged".to_owned(), 0.0),
+        ("wsg_journal_restored".to_owned(), 0.0),
+        ("wsg_clock_doubtful".to_owned(), 0.0),
         ("wsg_journal_records_lost_total".to_owned(), 0.0),
     ] {
         assert_eq!(of(&figures, &series), expected, "{series}");
@@ -123,7 +125,7 @@ async fn readiness_follows_the_device_and_reconnects_are_counted() {
         eventually("the gateway is ready", async || Some(gateway.get("/readyz").await).filter(|it| it.status == 200));
     assert_eq!(
         ready.await.body,
-        json!({"gateway": "gateway", "ready": true, "journal_cause": null, "journal_damage": null, "zenoh_cause": null, "not_ready": [], "warnings": [],
+        json!({"gateway": "gateway", "ready": true, "journal_cause": null, "journal_damage": null, "journal_restored": null, "zenoh_cause": null, "not_ready": [], "warnings": [],
             "version": env!("CARGO_PKG_VERSION")})
     );
     let figures = gateway.figures().await;

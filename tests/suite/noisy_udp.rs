@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};
 use tokio::net::UdpSocket;
-use wsg_gateway::gripper::model::Link;
+use wsg_gateway::model::Link;
 use wsg_gateway::transport::{Address, UdpAddress};
 use wsg_gateway::wsg::{Command, Data, LoopData};
 

@@ -166,21 +166,28 @@ async fn change_can_require_the_version_that_it_replaces() {
     assert_eq!(second.ok()["accept_min_mm"], 18.0);
     with(&gateway, "PUT", ("If-Match", &first_tag), &recipe(17.0, 21.0)).await.0.problem(412, "precondition_failed");
     for (tag, status, code) in
-        [("W/\"1\"", 412, "precondition_failed"), ("\"1\", \"2\"", 400, "malformed"), ("", 400, "malformed")]
+        [("W/\"x\"", 412, "precondition_failed"), ("\"1\", \"2\"", 400, "malformed"), ("", 400, "malformed")]
     {
         with(&gateway, "PUT", ("If-Match", tag), &recipe(17.0, 21.0)).await.0.problem(status, code);
     }
     with(&gateway, "DELETE", ("If-Match", &first_tag), &json!({})).await.0.problem(412, "precondition_failed");
+    // A proxy that compresses the response turns the tag into a weak one.
+    let weak_tag = format!("W/{first_tag}");
+    with(&gateway, "DELETE", ("If-Match", &weak_tag), &json!({})).await.0.problem(412, "precondition_failed");
+    let weak_tag = format!("W/{second_tag}");
+    let (third, second_tag) = with(&gateway, "PUT", ("If-Match", &weak_tag), &recipe(17.0, 21.0)).await;
+    assert_eq!(third.ok()["accept_min_mm"], 17.0);
     assert_eq!(gateway.put("/api/v1/recipes/B", &recipe(19.0, 21.0)).await.problem(409, "number_taken")["value"], 12);
     with(&gateway, "DELETE", ("If-Match", &second_tag), &json!({})).await.0.ok();
     gateway.get(RECIPE).await.problem(404, "not_found");
     let versions = gateway.get(&format!("{RECIPE}/versions")).await.ok();
     let removed: Vec<_> = versions["versions"].as_array().unwrap().iter().map(|one| &one["removed"]).collect();
-    assert_eq!(removed, [true, false, false]);
-    let events = gateway.events("kind=recipe&order=oldest", 3).await;
+    assert_eq!(removed, [true, false, false, false]);
+    let events = gateway.events("kind=recipe&order=oldest", 4).await;
     let step = |event: &Value| (event["event"].as_str().unwrap().to_owned(), event["definition"]["part_id"].clone());
     let steps: Vec<_> = events.iter().map(step).collect();
-    let expected = ["recipe_set", "recipe_set", "recipe_removed"].map(|step| (step.to_owned(), json!("A-1047")));
+    let expected =
+        ["recipe_set", "recipe_set", "recipe_set", "recipe_removed"].map(|step| (step.to_owned(), json!("A-1047")));
     assert_eq!(steps, expected);
 }
 

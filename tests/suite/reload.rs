@@ -11,9 +11,9 @@ use crate::harness::wsg::{Driver, PENDING, move_to};
 use crate::harness::{Gateway, Simulator, Socket, eventually, run};
 
 /// A gateway and its configuration file.
-struct Configured {
+pub struct Configured {
     file: PathBuf,
-    gateway: Gateway,
+    pub gateway: Gateway,
 }
 
 impl Drop for Configured {
@@ -23,7 +23,7 @@ impl Drop for Configured {
 }
 
 impl Configured {
-    async fn start(toml: &str) -> Self {
+    pub async fn start(toml: &str) -> Self {
         let file = std::env::temp_dir().join(format!("wsg-reload-{}.toml", uuid::Uuid::now_v7()));
         std::fs::write(&file, toml).unwrap();
         let gateway = Gateway::start(&["--config", file.to_str().unwrap(), "--zenoh-listen", "tcp/127.0.0.1:0"]).await;
@@ -31,7 +31,7 @@ impl Configured {
     }
 
     /// Reloads this configuration, and returns the changes.
-    async fn reload(&self, toml: &str) -> Value {
+    pub async fn reload(&self, toml: &str) -> Value {
         self.try_reload(toml).await.ok()["changes"].clone()
     }
 
@@ -91,7 +91,7 @@ async fn unusable_configuration_changes_nothing() {
         (format!("nonsense = 1\n{g}"), "nonsense"),
         (format!("name = \"other\"\n{g}"), "name cannot change while the gateway runs"),
         (String::new(), "the configured grippers (the new file names none) cannot change"),
-        (format!("{g}[access]\n"), "whether clients need credentials cannot change"),
+        (format!("{g}[access]\n"), "whether clients need credentials, cannot change"),
         (format!("{g}{}", gripper("h", &format!("wsg_port = \"{port}\""))), "cannot listen on"),
         (
             format!("{g}{}[tls]\ncertificate = \"none.pem\"\nkey = \"none.pem\"", gripper("h", "")),
@@ -101,6 +101,35 @@ async fn unusable_configuration_changes_nothing() {
         let refused = one.try_reload(&toml).await.problem(409, "invalid_configuration");
         assert!(refused["detail"].as_str().unwrap().contains(expected), "{refused}");
         assert_eq!(one.names().await, ["g"]);
+    }
+}
+
+#[tokio::test]
+async fn reload_that_needs_a_restart_names_each_key_and_applies_nothing() {
+    let g = gripper("g", "modbus_unit = 1");
+    let modbus = "modbus = \"127.0.0.1:0\"\n";
+    let one = Configured::start(&format!("{modbus}{g}")).await;
+    let more = gripper("h", "modbus_unit = 2");
+    for (toml, expected) in [
+        (format!("name = \"other\"\n{modbus}{g}{more}"), "name cannot change"),
+        (format!("journal_max_age_days = 3\n{modbus}{g}{more}"), "journal_max_age_days cannot change"),
+        (format!("journal_max_size_mb = 3\n{modbus}{g}{more}"), "journal_max_size_mb cannot change"),
+        (format!("public_url = \"https://cell-7.example\"\n{modbus}{g}{more}"), "public_url cannot change"),
+        (format!("{g}{more}"), "modbus cannot change"),
+        (
+            format!("{modbus}{}{}", gripper("g", "modbus_unit = 3"), gripper("h", "modbus_unit = 1")),
+            "modbus_unit (another gripper had this unit) cannot change",
+        ),
+        (format!("{modbus}{g}{more}[zenoh]\nmax_hz = 7\n"), "[zenoh] cannot change"),
+        (format!("{modbus}{g}{more}[access]\n"), "[access], or whether clients need credentials, cannot change"),
+        (
+            format!("name = \"other\"\npublic_url = \"https://cell-7.example\"\n{modbus}{g}{more}"),
+            "name, public_url cannot change while the gateway runs: restart it",
+        ),
+    ] {
+        let refused = one.try_reload(&toml).await.problem(409, "invalid_configuration");
+        assert!(refused["detail"].as_str().unwrap().contains(expected), "{refused}");
+        assert_eq!(one.names().await, ["g"], "{expected}");
     }
 }
 

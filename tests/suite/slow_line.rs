@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use jiff::Timestamp;
 use tokio::sync::broadcast;
-use wsg_gateway::gripper::model::{FastStopId, FrameDirection, FrameRecord, Reason, WireRecord};
+use wsg_gateway::model::{FastStopId, FrameDirection, FrameRecord, Reason, WireRecord};
 use wsg_gateway::wsg::{Command, CustomCommand, id};
 
 use crate::conformance::rig::{Rig, SOON, client};

@@ -8,6 +8,7 @@ use tokio::net::TcpListener;
 use tokio::sync::mpsc;
 
 use crate::harness::{Gateway, JournalFile, eventually};
+use crate::reload::Configured;
 
 const SECRET: &str = "whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw";
 
@@ -115,4 +116,37 @@ async fn webhook_is_tested_over_http() {
     assert_eq!(rig.deliveries.recv().await.unwrap().1["kind"], "test");
     gateway.post("/api/v1/webhooks/other/test", &json!({})).await.problem(404, "not_found");
     gateway.post("/api/v1/webhooks/mes/test", &json!({"url": "http://127.0.0.1"})).await.problem(400, "malformed");
+}
+
+#[tokio::test]
+async fn reload_adds_changes_and_removes_webhooks() {
+    let g = "[grippers.g]\nurl = \"sim://wsg50\"\n";
+    let [(first, mut at_first), (second, mut at_second)] = [receiver().await, receiver().await];
+    let to = |address: &str| {
+        format!(
+            "{g}[[webhooks]]\nname = \"mes\"\nkinds = [\"gateway\"]\nurl = \"http://{address}/hooks/s3cret\"\n\
+             secret = \"{SECRET}\"\n"
+        )
+    };
+    let one = Configured::start(g).await;
+    assert_eq!(one.reload(&to(&first)).await, json!(["webhook mes: added"]));
+    // The events of the reloads themselves are delivered.
+    assert_eq!(at_first.recv().await.unwrap().1["changes"], json!(["webhook mes: added"]));
+    assert_eq!(one.reload(&to(&second)).await, json!(["webhook mes: changed"]));
+    assert_eq!(at_second.recv().await.unwrap().1["changes"], json!(["webhook mes: changed"]));
+    eventually("the delivery is noted", async || {
+        let listed = one.gateway.get("/api/v1/webhooks").await.ok();
+        (listed["webhooks"][0]["waiting"] == 0).then_some(())
+    })
+    .await;
+    assert_eq!(one.reload(g).await, json!(["webhook mes: removed"]));
+    assert_eq!(one.gateway.get("/api/v1/webhooks").await.ok(), json!({"webhooks": []}));
+    assert!(!one.gateway.figures().await.keys().any(|name| name.starts_with("wsg_webhook")));
+    // A webhook that comes back misses nothing.
+    assert_eq!(one.reload(&to(&second)).await, json!(["webhook mes: added"]));
+    for change in ["removed", "added"] {
+        let (_, body) = at_second.recv().await.unwrap();
+        assert_eq!(body["changes"], json!([format!("webhook mes: {change}")]), "{body}");
+    }
+    assert!(at_first.try_recv().is_err());
 }

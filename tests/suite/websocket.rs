@@ -430,7 +430,7 @@ async fn every_answer_matches_its_description() {
     state["params"]["seq"] = "newest".into();
     assert!(!Socket::is_described("state.notification", &state));
     let served = gateway.get("/api/v1/asyncapi.yaml").await;
-    assert_eq!(served.body.as_str(), Some(wsg_gateway::interfaces::http::asyncapi().unwrap().as_str()));
+    assert_eq!(served.body.as_str(), Some(wsg_gateway::interfaces::http::ASYNCAPI));
 }
 
 /// Opens a socket that holds the lease of a homed gripper and has started a slow motion.

@@ -13,7 +13,7 @@ use tokio_tungstenite::tungstenite::http::HeaderValue;
 use tokio_tungstenite::tungstenite::{Error, Message};
 use url::Url;
 
-use crate::gripper::model::FrameDirection;
+use crate::model::FrameDirection;
 use crate::transport::host::connect_to_host;
 
 /// Time limit for connecting to any of the gateway's addresses.

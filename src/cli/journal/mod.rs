@@ -12,8 +12,8 @@ use serde::de::DeserializeOwned;
 use crate::config::JournalFlags;
 use crate::journal::csv::{EVENT_COLUMNS, GRIP_COLUMNS, header, lines};
 use crate::journal::{
-    Cursor, EventQuery, Filter, GripQuery, Limit, Order, Page, Query, ReadError, Reader, Report, back_up,
-    verify_with_progress,
+    Cursor, EventQuery, Filter, GripQuery, Head, Limit, Order, Page, Query, ReadError, Reader, Report, back_up,
+    is_in_use, verify_with_progress,
 };
 use progress::ProgressLine;
 
@@ -60,8 +60,15 @@ enum Command {
         #[command(flatten)]
         which: Which,
     },
-    /// Check that no record was changed since it was written; exits with 1 if any was
-    Verify,
+    /// Check that no record was changed or removed since it was written; exits with 1 if any was
+    Verify {
+        /// Earlier head, as `head` prints it: its records must be there, or have been removed as too old
+        #[arg(long, value_name = "HEAD")]
+        head: Option<Head>,
+    },
+    /// Print the newest event and grip record with their hashes, to keep elsewhere: without it, nothing shows that the
+    /// newest records and the file of the head were removed
+    Head,
     /// Copy the journal to a new file, which `verify` can check
     Backup {
         #[arg(value_name = "FILE")]
@@ -152,8 +159,9 @@ pub(super) fn run(journal: &JournalArgs, out: impl Write) -> anyhow::Result<()> 
         Command::Export { format, which } => {
             export(&Reader::open(&path)?, *format, which, &mut out).map(|count| report_none(count, &path))
         }
-        Command::Verify => check(&path, &mut out),
-        Command::Backup { file } => copy(&path, file, &mut out),
+        Command::Verify { head } => check(&path, *head, &mut out),
+        Command::Head => Reader::open(&path)?.head().map_err(Into::into).and_then(|head| Ok(writeln!(out, "{head}")?)),
+        Command::Backup { file } => check_gateway(&journal.flags, &path).and_then(|()| copy(&path, file, &mut out)),
     };
     match result.and_then(|()| Ok(out.flush()?)) {
         // The reader of standard output may stop early.
@@ -255,6 +263,23 @@ fn follow(reader: &Reader, after: Option<u64>, filters: &Filters, out: &mut impl
     }
 }
 
+/// Checks that a journal that no flag names belongs to the gateway that runs, if one does.
+fn check_gateway(flags: &JournalFlags, path: &Path) -> anyhow::Result<()> {
+    if !flags.is_default() {
+        return Ok(());
+    }
+    let beside = path.parent().map(std::fs::read_dir).into_iter().flatten().flatten().flatten();
+    let journals =
+        beside.map(|entry| entry.path()).filter(|path| path.extension().is_some_and(|ending| ending == "db"));
+    let mut used: Vec<_> = journals.filter(|path| is_in_use(path) == Some(true)).collect();
+    used.sort();
+    if used.is_empty() || used == [path] {
+        return Ok(());
+    }
+    let used: Vec<_> = used.iter().map(|path| path.display().to_string()).collect();
+    bail!("gateways write to {}: name one of these files with --journal, or its gateway with --name", used.join(", "))
+}
+
 fn copy(path: &Path, to: &Path, out: &mut impl Write) -> anyhow::Result<()> {
     let mut progress = ProgressLine::new("copied", true);
     let mut bytes = 0;
@@ -264,12 +289,18 @@ fn copy(path: &Path, to: &Path, out: &mut impl Write) -> anyhow::Result<()> {
     })?;
     drop(progress);
     let to = to.display();
+    let use_now = if is_in_use(path) == Some(true) {
+        "a gateway is writing to it"
+    } else {
+        "no gateway uses it now; if yours runs with --journal or --config, name that here too"
+    };
+    writeln!(out, "from {} ({use_now})", path.display())?;
     Ok(writeln!(out, "{to}: {bytes} bytes copied; check the copy with `wsg-gateway journal verify --journal {to}`")?)
 }
 
-fn check(path: &Path, out: &mut impl Write) -> anyhow::Result<()> {
+fn check(path: &Path, head: Option<Head>, out: &mut impl Write) -> anyhow::Result<()> {
     let mut progress = ProgressLine::new("verified", true);
-    let report = verify_with_progress(path, |read, all| progress.show_part(read, all))?;
+    let report = verify_with_progress(path, head, |read, all| progress.show_part(read, all))?;
     drop(progress);
     report.findings.iter().try_for_each(|finding| writeln!(out, "{finding}"))?;
     let found = report.findings.len() as u64 + report.more;

@@ -19,7 +19,8 @@ use std::time::Duration;
 use tokio::sync::mpsc;
 use url::Url;
 
-use crate::gripper::{Connector, clock};
+use crate::gripper::Connector;
+use crate::model::clock;
 use crate::sim::{Device, DeviceConfig};
 use crate::transport::{LinkProperties, Pipe};
 pub use pump::Switch;

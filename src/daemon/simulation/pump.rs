@@ -7,7 +7,7 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::sync::{mpsc, oneshot};
 
 use super::wire::Wire;
-use crate::gripper::clock;
+use crate::model::clock;
 use crate::sim::{Change, Device, ImpossibleChange, Interface, LinkAction, ReceivedFrame, Snapshot};
 use crate::transport::Pipe;
 use crate::wsg::Opening;

@@ -8,7 +8,7 @@ use url::Url;
 
 use super::wire::Wire;
 use super::{SimulatedDevice, Switch, control, pump};
-use crate::gripper::clock;
+use crate::model::clock;
 use crate::sim::Device;
 use crate::transport::Address;
 

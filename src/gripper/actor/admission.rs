@@ -3,17 +3,17 @@
 use std::sync::Arc;
 
 use super::super::Now;
-use super::super::error::{Conflict, Failure, Invalid, Rejection};
 use super::super::handle::{ResultSender, Steps, Ticket};
-use super::super::model::{
-    Action, Client, CommandId, CommandReport, FastStopId, LeaseToken, Motion, Outcome, SettingChange, Submission,
-};
 use super::Actor;
 use super::link::{Exchange, OwnStop, Purpose};
 use super::reads::is_slow_getter;
 use super::running::Running;
-use crate::wsg::session::{End, Token};
-use crate::wsg::{Command, Data, Reply, SystemState, id};
+use model::error::{Conflict, Failure, Invalid, Rejection};
+use model::{
+    Action, Client, CommandId, CommandReport, FastStopId, LeaseToken, Motion, Outcome, SettingChange, Submission,
+};
+use wsg::session::{End, Token};
+use wsg::{Command, Data, Reply, SystemState, id};
 
 impl Actor {
     /// Admits or rejects a command.
@@ -27,11 +27,19 @@ impl Actor {
                 if let Some(ticket) = replay? {
                     return Ok(Ticket { _keep: keep, ..ticket });
                 }
-                if !self.is_streamed(motion) {
+                let is_streamed = self.is_streamed(motion);
+                if !is_streamed {
                     self.commands.check_room(now.instant, submission)?;
                 }
+                // A request that is refused for another reason is no pause, either.
+                let may_steer =
+                    if is_streamed { self.streaming.check(now.instant, submission.lease.as_ref()) } else { Ok(()) };
                 self.check_motion(now, motion, submission)?;
+                may_steer?;
                 self.claim(now, &submission.client, submission.lease.as_ref())?;
+                if !is_streamed {
+                    self.streaming.resumed(submission.lease.as_ref());
+                }
                 // A settling motion ends now, with its values so far, before the next one changes them.
                 self.end_running(now, false);
                 let keep = self.lease.keep(now.instant, submission.lease.as_ref()).map(Arc::new);
@@ -39,8 +47,8 @@ impl Actor {
                 if !matches!(motion, Motion::Custom(_)) {
                     self.recording.start_measuring(id, motion, self.settings.known_serial);
                 }
-                self.motion.running = Some(Running::new(now.instant, id, motion.clone(), self.is_streamed(motion)));
-                if self.is_streamed(motion) {
+                self.motion.running = Some(Running::new(now.instant, id, motion.clone(), is_streamed));
+                if is_streamed {
                     // A streamed command does not wait for a record.
                     self.motion.let_run();
                     self.commands.recorded(id);
@@ -68,6 +76,7 @@ impl Actor {
         {
             return Ok(ticket.clone());
         }
+        self.streaming.stopped(now.instant);
         // An unwritten script would move the fingers after the Stop.
         self.withdraw_scripts(&Failure::StoppedFirst { command: "the custom command" }.into(), |_| true);
         let without_id;
@@ -110,6 +119,7 @@ impl Actor {
         self.check_flags(now)?;
         self.check_moving()?;
         self.recording.check()?;
+        self.commands.check_past(now.instant, submission)?;
         if !referenced && !matches!(motion, Motion::Home(_) | Motion::Custom(_)) {
             return Err(Conflict::NotReferenced.into());
         }
@@ -180,8 +190,12 @@ impl Actor {
         // A token without a lease renews nothing.
         let _ = self.lease.renew(now.instant, lease);
         if let Some(data) = self.observed.value(command.id(), now.instant) {
-            // Sending the getter would switch its automatic updates off.
-            self.answers.add(answer, Ok(data));
+            let values = &self.observed.values;
+            if values.changed_at.is_none_or(|changed_at| values.is_newer_than(command.id(), changed_at)) {
+                self.answers.add(answer, Ok(data));
+            } else {
+                self.measure(now, command.id(), answer);
+            }
             return;
         }
         if let Some(Command::SetDeviceTag(tag)) = command.typed() {
@@ -201,6 +215,7 @@ impl Actor {
         let is_submitted = self.submit_exchange(now, command, Purpose::Exchange(exchange));
         if let Some(client) = script_client.filter(|_| is_submitted) {
             self.note_script(now, &client, lease);
+            self.streaming.left(lease);
         }
     }
 
@@ -247,9 +262,9 @@ impl Actor {
     }
 
     /// Whether the command only reads, so that any client can send it.
-    fn only_reads(&self, command: &Command) -> bool {
+    pub(super) fn only_reads(&self, command: &Command) -> bool {
         match command {
-            Command::Custom(custom) => self.config.custom_ids.read.contains(&custom.id()),
+            Command::Custom(custom) => self.config.rules.custom_ids.read.contains(&custom.id()),
             command => command.is_read(),
         }
     }

@@ -1,8 +1,8 @@
-//! What arrived on a link whose device does not answer as a gripper: it shows what is wrong.
+//! Counts of the data that arrived on a link whose device does not answer as a gripper: they show what is wrong.
 
 use std::fmt;
 
-use crate::wsg::session::Session;
+use wsg::session::Session;
 
 /// Counts of a link's bytes and frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

@@ -2,14 +2,14 @@
 
 use super::super::Now;
 use super::super::automatic_updates;
-use super::super::error::{Failure, Rejection};
 use super::super::latch;
-use super::super::model::{DeviceEvent, Link, Outcome};
 use super::super::setup::Setup;
 use super::link::{OwnStop, Purpose};
 use super::running::Running;
 use super::{Actor, REPLY_WITHIN};
-use crate::wsg::{Command, SystemState};
+use model::error::{Failure, Rejection};
+use model::{DeviceEvent, Link, Outcome};
+use wsg::{Command, SystemState};
 
 impl Actor {
     /// Notes an attempt to connect, which ends with [`Actor::link_up`] or [`Actor::link_down`].
@@ -81,7 +81,7 @@ impl Actor {
     /// Whether a request that was written may act on the gripper later, because nothing shows that it has arrived.
     #[must_use]
     pub fn may_act_late(&self) -> bool {
-        self.link.session.as_ref().is_some_and(crate::wsg::session::Session::may_act_late)
+        self.link.session.as_ref().is_some_and(wsg::session::Session::may_act_late)
     }
 
     /// Whether the link is up, and the device has been identified.

@@ -8,12 +8,12 @@ use tokio::sync::oneshot;
 
 use super::super::Now;
 use super::super::automatic_updates;
-use super::super::error::{Conflict, Failure, Rejection};
 use super::super::handle::ResultSender;
-use super::super::model::{Client, LeaseToken};
 use super::Actor;
 use super::link::{Close, OwnStop, Purpose};
-use crate::wsg::{Command, SystemState};
+use model::error::{Conflict, Failure, Rejection};
+use model::{Client, LeaseToken};
+use wsg::{Command, SystemState};
 
 /// Time limit for the device to stop, and again for its reply to the announcement.
 const ANSWERED_WITHIN: Duration = Duration::from_millis(500);
@@ -92,7 +92,7 @@ impl Actor {
 
     fn begin_drain(&mut self, now: Now, ending: Ending) {
         tracing::info!(gripper = %self.config.name, "draining");
-        let until = now.instant + self.config.drain;
+        let until = now.instant + self.config.rules.shared.drain;
         self.drain = Some(Drain { stage: Stage::Finishing, until, has_announced: false, has_stopped: false, ending });
     }
 

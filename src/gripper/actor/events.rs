@@ -3,11 +3,11 @@
 use super::super::Now;
 use super::super::automatic_updates;
 use super::super::latch::{LatchChange, Origin};
-use super::super::model::{DeviceEvent, FastStopCause, FastStopStep, Missing, SettingChange, UpdateMode};
 use super::Actor;
 use super::link::{Close, Exchange, OwnStop, Purpose};
-use crate::wsg::session::{End, SessionEvent, Token};
-use crate::wsg::{Command, Data, GripperState, Reply, Status, SystemState, id};
+use model::{DeviceEvent, FastStopCause, FastStopStep, Missing, SettingChange, UpdateMode};
+use wsg::session::{End, SessionEvent, Token};
+use wsg::{Command, Data, GripperState, Reply, Status, SystemState, id};
 
 impl Actor {
     /// Processes all pending events of the session.
@@ -20,26 +20,51 @@ impl Actor {
                     tracing::warn!(gripper = %self.config.name, command = id::name(id), bytes,
                         "reply longer than the manuals say: its known fields are used");
                 }
-                SessionEvent::Accepted(token) => match self.link.purposes.get_mut(&token) {
-                    Some(Purpose::Motion(id)) => {
-                        let id = *id;
-                        self.motion_accepted(id);
-                    }
-                    Some(Purpose::Exchange(exchange)) => {
-                        if let Some(accepted) = exchange.accepted.take() {
-                            // The caller may be gone.
-                            let _ = accepted.send(());
-                        }
-                    }
-                    _ => {}
-                },
+                SessionEvent::Accepted(token) => self.take_accepted(now, token),
                 SessionEvent::Ended(token, end) => {
+                    self.note_change(now, token);
                     if let Some(purpose) = self.link.purposes.remove(&token) {
                         self.take_end(now, token, purpose, end);
                         self.begin_waiting_setup(now);
                     }
                 }
             }
+        }
+    }
+
+    fn take_accepted(&mut self, now: Now, token: Token) {
+        self.note_change(now, token);
+        match self.link.purposes.get_mut(&token) {
+            Some(Purpose::Motion(id)) => {
+                let id = *id;
+                self.motion_accepted(id);
+            }
+            Some(Purpose::Exchange(exchange)) => {
+                if let Some(accepted) = exchange.accepted.take() {
+                    self.answers.add(accepted, ());
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// Notes that the device has answered a request that can have changed its values.
+    fn note_change(&mut self, now: Now, token: Token) {
+        let is_change = match self.link.purposes.get(&token) {
+            Some(Purpose::Exchange(exchange)) => exchange.setter.is_none() && !self.only_reads(&exchange.command),
+            Some(
+                Purpose::FastStop
+                | Purpose::Acknowledge
+                | Purpose::Force(..)
+                | Purpose::Motion(_)
+                | Purpose::Stop(_)
+                | Purpose::OwnStop(_),
+            ) => true,
+            _ => false,
+        };
+        if is_change {
+            self.observed.values.changed_at = Some(now.instant);
+            self.reads.forget();
         }
     }
 
@@ -58,7 +83,7 @@ impl Actor {
             // The force is the last value of each update period.
             Data::Force(_) => return self.recording.measure(now, &self.observed.values),
             // In this mode, the width can arrive without the other values.
-            Data::Width(_) if self.config.updates.mode == UpdateMode::Changes => {
+            Data::Width(_) if self.config.rules.updates.mode == UpdateMode::Changes => {
                 return self.recording.measure(now, &self.observed.values);
             }
             _ => return,
@@ -73,8 +98,10 @@ impl Actor {
         if missed {
             self.set_up_again(now);
         }
-        let mut origin =
-            Origin { ids: &mut self.ids, unannounced: self.link.unannounced && self.config.fast_stop_on_disconnect };
+        let mut origin = Origin {
+            ids: &mut self.ids,
+            unannounced: self.link.unannounced && self.config.rules.fast_stop_on_disconnect,
+        };
         match self.latch.take_flags(now, flags, &mut origin) {
             Some(LatchChange::Seen { overtaken }) => {
                 if let Some(token) = overtaken {
@@ -88,6 +115,8 @@ impl Actor {
             }
             Some(LatchChange::Confirmed) => {
                 tracing::info!(gripper = %self.config.name, "FAST STOP confirmed");
+                // The reply to the FAST STOP may have been lost.
+                self.observed.values.changed_at = Some(now.instant);
                 self.record_fast_stop(now, FastStopStep::Confirmed, None);
                 self.link.expect_aborts(now);
             }
@@ -246,7 +275,7 @@ impl Actor {
     /// Flags that confirm a repeated FAST STOP, or that outlast an acknowledgement, do not change. Those that changed
     /// before an acknowledgement failed do not change again.
     fn read_awaited_flags(&mut self, now: Now) {
-        let is_on_change = self.config.updates.mode == UpdateMode::Changes;
+        let is_on_change = self.config.rules.updates.mode == UpdateMode::Changes;
         if is_on_change && self.latch.id().is_some() {
             // A full queue counts as no reply: the flags are polled later.
             let _ = self.link.submit(now, self.read_flags(), Purpose::Upkeep);

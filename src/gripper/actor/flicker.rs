@@ -6,8 +6,8 @@ use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
 use super::super::Now;
-use super::super::model::{Detail, DeviceEvent, Event};
 use super::recording::Recording;
+use model::{Detail, DeviceEvent, Event};
 
 /// Time for which changes are counted before they are recorded.
 const COUNTED_FOR: Duration = Duration::from_secs(1);
@@ -79,21 +79,25 @@ impl Flicker {
 }
 
 impl Recording {
-    /// Records a change of the device or its link, now or with the counted ones.
-    pub(super) fn change_of_device(&mut self, now: Now, event: Event) {
+    /// Records a change of the device or its link, now or with the counted ones. Returns whether it was recorded now.
+    pub(super) fn change_of_device(&mut self, now: Now, event: Event) -> bool {
         let kind = kind_of(&event).filter(|_| event.command_id.is_none());
         let event = match kind {
             Some(kind) => self.flicker.take(now.instant, kind, event),
             None => Some(event),
         };
-        if let Some(event) = event {
-            self.record(event);
-        }
+        let Some(event) = event else { return false };
+        self.record(event);
+        true
     }
 
     /// Records the counted changes.
     pub(super) fn record_flicker(&mut self, now: Now) {
         let (left_out, newest) = self.flicker.end(now.instant);
+        if !newest.is_empty() {
+            let changes: Vec<_> = newest.iter().filter_map(kind_of).collect();
+            tracing::warn!(gripper = %self.gripper, ?changes, "changes repeat quickly: the journal counts them");
+        }
         let left_out = left_out.map(|event| self.event(now, Detail::Device(event)));
         for event in left_out.into_iter().chain(newest) {
             self.record(event);

@@ -1,10 +1,11 @@
 //! Effects of journal replies and device events on commands and parts.
 
 use super::super::Now;
-use super::super::model::{AcknowledgeEvent, Client, CommandId, Detail, DeviceEvent, FastStopStep};
+use super::super::observed::HeldPart;
 use super::super::recorder::{JournalHealth, Record};
 use super::Actor;
-use crate::wsg::GripperState;
+use model::{AcknowledgeEvent, Client, CommandId, Detail, DeviceEvent, FastStopStep};
+use wsg::GripperState;
 
 impl Actor {
     /// The next record, and the command that waits for it. [`Actor::recorded`] takes the result.
@@ -51,6 +52,10 @@ impl Actor {
     /// Records the results of acknowledgements, and sends them to their clients.
     pub(super) fn send_acknowledge_results(&mut self, now: Now) {
         for acknowledged in self.latch.take_acknowledged() {
+            if acknowledged.result.is_ok() && self.observed.last_state() != Some(GripperState::Holding) {
+                // The fingers have no force after an acknowledgement, so nothing is held for a lost client either.
+                self.observed.part = HeldPart::default();
+            }
             self.recording.record_repeats();
             let cause = acknowledged.result.as_ref().err().map(ToString::to_string);
             let detail = Detail::Acknowledge(AcknowledgeEvent {

@@ -3,16 +3,16 @@
 use std::time::Instant;
 
 use super::super::Now;
-use super::super::error::{Conflict, Failure, Rejection};
 use super::super::handle::{AcquiredLease, FastStopRequest, ResultSender};
 use super::super::lease::{AcquireOutcome, HeldLease, Holder, Terms};
-use super::super::model::{
+use super::Actor;
+use super::link::OwnStop;
+use model::error::{Conflict, Failure, Rejection};
+use model::{
     Client, FastStopCause, Lease, LeaseEvent, LeaseStep, LeaseToken, Link, LossCause, LossEffect, OnLossHolding,
     OnLossMoving, Reason, TakeLease,
 };
-use super::Actor;
-use super::link::OwnStop;
-use crate::wsg::SystemState;
+use wsg::SystemState;
 
 impl Actor {
     /// Checks that a request with this token, or without one, can make changes.
@@ -66,7 +66,7 @@ impl Actor {
         if self.drain.is_some() {
             return Err(Failure::Draining.into());
         }
-        let terms = Terms::of(wish, &self.config.lease)?;
+        let terms = Terms::of(wish, &self.config.rules.lease)?;
         let asked_before = self.lease.asking(now.instant).cloned();
         // A returning client must not bypass the `on_loss` terms of its lease.
         let effect = self.lease.terms().map(|terms| self.loss_effect(terms, now.instant));
@@ -190,7 +190,7 @@ impl Actor {
             }
             LossEffect::None => {}
         }
-        self.streaming.stopped();
+        self.streaming.stopped(now.instant);
     }
 
     /// Latches a FAST STOP because this holder was lost.
@@ -222,7 +222,7 @@ impl Actor {
             let stop = OwnStop::new(self.motion.mover(now.instant)).for_lost(lost.cloned());
             self.link.send_stop(now, stop);
         }
-        self.streaming.stopped();
+        self.streaming.stopped(now.instant);
     }
 
     fn record_lease(&mut self, now: Now, event: LeaseStep, holder: &Holder, lost: Option<(LossEffect, LossCause)>) {

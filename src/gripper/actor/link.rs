@@ -7,17 +7,17 @@ use std::time::{Duration, Instant};
 use tokio::sync::{broadcast, oneshot};
 
 use super::super::Now;
-use super::super::error::{Failure, Rejection};
 use super::super::handle::ResultSender;
 use super::super::lease::Holder;
-use super::super::model::{Client, CommandId, LeaseToken, Link, Name, WireRecord};
 use super::super::setup::{Setting, Setup, Step};
 use super::arrived::Arrived;
 use super::wire_log::WireLog;
 use super::{REPLY_WITHIN, RESULT_WITHIN, name_of};
-use crate::transport::LinkProperties;
-use crate::wsg::session::{self, End, NotTaken, Session, SessionEvent, Token};
-use crate::wsg::{self, Command, Data, Force, id};
+use model::error::{Failure, Rejection};
+use model::{Client, CommandId, LeaseToken, Link, Name, WireRecord};
+use transport::LinkProperties;
+use wsg::session::{self, End, NotTaken, Session, SessionEvent, Token};
+use wsg::{self, Command, Data, Force, id};
 
 /// Silence after which a link is unresponsive, and motions are refused.
 pub(super) const UNRESPONSIVE_AFTER: Duration = Duration::from_millis(1500);
@@ -71,7 +71,7 @@ pub(super) enum Purpose {
 /// A Stop of the gateway's own.
 #[derive(Debug, Clone)]
 pub(super) struct OwnStop {
-    /// Motion that it should stop; `None` if there is none, for example while a script moves the fingers.
+    /// Motion that it should stop; `None` without one, for example while a script moves the fingers.
     pub motion: Option<CommandId>,
     /// The lost holder whose motion it should stop. If it fails, a FAST STOP follows, since nobody else would stop the
     /// fingers.

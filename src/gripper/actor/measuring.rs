@@ -7,9 +7,9 @@ use jiff::Timestamp;
 
 use super::super::Now;
 use super::super::curve::{Contact, MotionCurve, TAIL};
-use super::super::model::{CommandId, CommandReport, GripRecord, Motion, Outcome, PartId, Values};
 use super::super::recorder::Record;
 use super::recording::Recording;
+use model::{CommandId, CommandReport, GripRecord, Motion, Outcome, PartId, Values};
 
 /// A motion being measured.
 #[derive(Debug)]

@@ -5,9 +5,9 @@ use std::time::{Duration, Instant};
 use prometheus::IntCounter;
 
 use super::super::metrics::GripperMetrics;
-use super::super::model::{CommandReport, FastStopCause, FastStopStep, Kind, Outcome};
-use crate::wsg::DecoderCounters;
-use crate::wsg::session::{Counters, Session};
+use model::{CommandReport, FastStopCause, FastStopStep, Kind, Outcome};
+use wsg::DecoderCounters;
+use wsg::session::{Counters, Session};
 
 /// Metrics of the gripper, and the session counters already included in them.
 #[derive(Debug)]

@@ -3,12 +3,12 @@
 use std::time::Instant;
 
 use super::super::Now;
-use super::super::error::Failure;
-use super::super::model::{DeviceEvent, Missing};
 use super::Actor;
 use super::link::UNRESPONSIVE_AFTER;
-use crate::wsg::session::NoValue;
-use crate::wsg::{InvalidReply, id};
+use model::error::Failure;
+use model::{DeviceEvent, Missing};
+use wsg::session::NoValue;
+use wsg::{InvalidReply, id};
 
 impl Actor {
     /// Takes a reply or an update without its value.
@@ -34,12 +34,17 @@ impl Actor {
             let same = lost.extract_if(.., |(_, other)| *other == missing);
             let values: Vec<_> = same.map(|(name, _)| name).collect();
             let cause = missing.to_string();
-            tracing::warn!(gripper = %self.config.name, ?values, cause, "value unknown");
-            self.recording.device(now, DeviceEvent::ValuesUnknown { values, cause });
+            let event = DeviceEvent::ValuesUnknown { values: values.clone(), cause: cause.clone() };
+            // The log leaves out what the journal only counts.
+            if self.recording.device(now, event) {
+                tracing::warn!(gripper = %self.config.name, ?values, cause, "value unknown");
+            }
         }
         if !report.found.is_empty() {
-            tracing::info!(gripper = %self.config.name, values = ?report.found, "value known again");
-            self.recording.device(now, DeviceEvent::ValuesKnown { values: report.found });
+            let event = DeviceEvent::ValuesKnown { values: report.found.clone() };
+            if self.recording.device(now, event) {
+                tracing::info!(gripper = %self.config.name, values = ?report.found, "value known again");
+            }
         }
     }
 

@@ -62,18 +62,14 @@ use super::info::Info;
 use super::latch::LatchState;
 use super::lease::LeaseState;
 use super::metrics::GripperMetrics;
-use super::model::{
-    CustomIds, FastStopStep, IdSource, LeaseRules, Name, OnJournalFailure, State, UpdateRules, WireRecord,
-};
 use super::observed::Observed;
 use super::registry::CommandRegistry;
-use crate::transport::LinkProperties;
-use crate::wsg::{Command, id};
 use answers::Answers;
 use drain::Drain;
 pub use link::Close;
 use link::DeviceLink;
 use metering::Metering;
+use model::{FastStopStep, GripperRules, IdSource, Name, State, WireRecord};
 use pacing::Pacing;
 use publish::Publication;
 use reads::Reads;
@@ -82,7 +78,9 @@ use running::MotionState;
 use scripts::Scripts;
 use settings::Settings;
 use streaming::Streaming;
+use transport::LinkProperties;
 use unconfirmed::Unconfirmed;
+use wsg::{Command, id};
 
 /// Time limit for the device's reply, after which a Loop checks whether the reply was lost.
 const REPLY_WITHIN: Duration = Duration::from_secs(1);
@@ -98,17 +96,7 @@ pub struct ActorConfig {
     pub name: Name,
     pub url: String,
     pub properties: LinkProperties,
-    /// Setting of the device (`fw4-en 1.4.2`), which no command reads: whether the end of a connection is a FAST STOP.
-    pub fast_stop_on_disconnect: bool,
-    pub custom_ids: CustomIds,
-    pub updates: UpdateRules,
-    /// Pause between the end of a motion and the next one.
-    pub motion_pause: Duration,
-    /// Time for a running command to finish when the gripper is drained.
-    pub drain: Duration,
-    pub on_journal_failure: OnJournalFailure,
-    /// Lease terms that clients can request.
-    pub lease: LeaseRules,
+    pub rules: GripperRules,
     /// Seed for ids and nonces; fixed in tests.
     pub seed: u64,
     pub metrics: GripperMetrics,
@@ -160,16 +148,20 @@ impl Actor {
         let frames = link.frames();
         let actor = Self {
             ids: IdSource::new(config.seed),
-            observed: Observed::new(config.updates, config.properties.bytes_per_second),
+            observed: Observed::new(config.rules.updates, config.properties.bytes_per_second),
             link,
             settings: Settings::default(),
             latch: LatchState::default(),
             lease: LeaseState::default(),
             reads: Reads::default(),
             commands: CommandRegistry::default(),
-            motion: MotionState::new(config.motion_pause),
+            motion: MotionState::new(config.rules.motion_pause),
             drain: None,
-            recording: Recording::new(config.gateway.clone(), config.name.clone(), config.on_journal_failure),
+            recording: Recording::new(
+                config.gateway.clone(),
+                config.name.clone(),
+                config.rules.shared.on_journal_failure,
+            ),
             metering: Metering::new(config.metrics.clone()),
             streaming: Streaming::default(),
             scripts: Scripts::default(),

@@ -6,14 +6,14 @@ use tokio::sync::oneshot;
 
 use super::super::Now;
 use super::super::automatic_updates;
-use super::super::error::{Conflict, DeviceRefusal, Failure, MotionError, Rejection};
-use super::super::model::{AcceptedWidths, Client, CommandId, CommandReport, Kind, Motion, Outcome};
 use super::super::observed::HeldPart;
 use super::link::{NotSubmitted, OwnStop, Purpose};
 use super::running::{Running, Settling, Stage, outcome_of, result_within};
 use super::{Actor, REPLY_WITHIN};
-use crate::wsg::session::End;
-use crate::wsg::{Command, Data, Force, GripperState, Reply, Status, SystemState, Width};
+use model::error::{Conflict, DeviceRefusal, Failure, MotionError, Rejection};
+use model::{AcceptedWidths, Client, CommandId, CommandReport, Kind, Motion, Outcome};
+use wsg::session::End;
+use wsg::{Command, Data, Force, GripperState, Reply, Status, SystemState, Width};
 
 impl Actor {
     /// Starts the waiting motion after its pause.
@@ -48,6 +48,10 @@ impl Actor {
         }
         let within = result_within(&running.motion, self.settings.stroke_mm());
         let sent = self.link.submit_within(now, request, Purpose::Motion(id), REPLY_WITHIN, within);
+        let may_hold = self.observed.values.state(now.instant).is_none_or(|state| state == GripperState::Holding);
+        if let Some(running) = self.motion.get_mut(id) {
+            running.may_have_held = may_hold;
+        }
         self.set_stage(now, id, sent.map(Stage::Sent));
     }
 
@@ -132,21 +136,31 @@ impl Actor {
         }
     }
 
-    /// Sends a Stop behind a motion whose result is unknown, so that it cannot move the fingers after its client was told
-    /// so. An accepted motion has reached the device, and is over if the fingers are known to stand still.
+    /// Sends a Stop behind a motion whose result is unknown, so that it cannot move the fingers after its client got
+    /// this result. A motion that has reached the device is over if the fingers are known to stand still. A Stop could
+    /// then let a gripped part go.
     fn stop_behind(&mut self, now: Now, id: CommandId, was_accepted: bool) {
         let stands_still = self.observed.values.has(SystemState::MOVING, now.instant) == Some(false);
-        if was_accepted && stands_still {
+        let has_arrived = was_accepted || self.has_gripped(now);
+        if has_arrived && stands_still {
             return;
         }
         self.link.send_stop(now, OwnStop::new(Some(id)));
         // Elsewhere the Stop arrives after the motion.
-        if !was_accepted && self.link.properties.may_duplicate {
+        if !has_arrived && self.link.properties.may_duplicate {
             self.motion.may_begin_late(now.instant, id);
         }
         if let Some(running) = self.motion.get_mut(id) {
             running.is_stopped_behind = true;
         }
+    }
+
+    /// Whether the running motion is a grip whose part shows that it has reached the device, although its replies are
+    /// missing.
+    fn has_gripped(&self, now: Now) -> bool {
+        let Some(running) = &self.motion.running else { return false };
+        let is_new_grip = running.motion.kind().is_grip() && !running.may_have_held;
+        is_new_grip && self.observed.values.is_holding(now.instant)
     }
 
     /// Requests the values of a device that does not send them by itself, so that a motion's result has newer ones.
@@ -277,7 +291,7 @@ impl Actor {
         if let Some(id) = self.latch.id() {
             self.withdraw_scripts(&Conflict::FastStop { id }.into(), |_| true);
         }
-        self.streaming.stopped();
+        self.streaming.stopped(now.instant);
         if let Some(running) = &mut self.motion.running {
             running.fast_stop = self.latch.id();
             self.withdraw_waiting_motion(now);
@@ -302,6 +316,9 @@ impl Actor {
     pub(super) fn cancel(&mut self, now: Now, id: CommandId, by: &Client) {
         if !self.motion.cancel(id, by) {
             return;
+        }
+        if self.commands.is_streamed(id) {
+            self.streaming.stopped(now.instant);
         }
         self.withdraw_waiting_motion(now);
         if self.motion.running.is_some() {
@@ -332,7 +349,6 @@ impl Actor {
     pub(super) fn stop_ended(&mut self, now: Now, id: CommandId, end: End) {
         match end {
             End::Reply(Reply::Success(_)) => {
-                self.streaming.stopped();
                 self.end(now, id, |record| {
                     record.set_outcome(Outcome::Success);
                     record.set_status(Status::E_SUCCESS);
@@ -424,6 +440,7 @@ impl Actor {
         if let Some((client, record)) = ended {
             self.metering.ended(&record);
             if self.commands.is_streamed(id) {
+                self.streaming.answered(now.instant);
                 return;
             }
             self.recording.done(now, &client, &record);

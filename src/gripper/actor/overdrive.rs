@@ -2,9 +2,9 @@
 
 use std::time::{Duration, Instant};
 
-use super::super::error::{Failure, Rejection};
 use super::super::handle::ResultSender;
-use crate::wsg::{Data, SystemState};
+use model::error::{Failure, Rejection};
+use wsg::{Data, SystemState};
 
 /// Time limit for the flags to show that Overdrive Mode was switched.
 const FLAGS_WITHIN: Duration = Duration::from_millis(500);

@@ -5,9 +5,9 @@ use std::time::{Duration, Instant};
 
 use super::super::Now;
 use super::super::automatic_updates;
-use super::super::model::UpdateRules;
 use super::Actor;
 use super::link::Purpose;
+use model::UpdateRules;
 
 /// Period of measuring the round trip.
 const MEASURED_EVERY: Duration = Duration::from_secs(1);
@@ -34,7 +34,7 @@ pub(super) struct Pacing {
 impl Actor {
     /// Rules of the updates on the current link.
     pub(super) fn update_rules(&self) -> UpdateRules {
-        let rules = self.config.updates;
+        let rules = self.config.rules.updates;
         UpdateRules { min_period_ms: rules.min_period_ms.max(self.pacing.slowed_to_ms), ..rules }
     }
 

@@ -7,16 +7,70 @@ use super::super::Now;
 use super::super::last_command::LastCommand;
 use super::super::latch::LatchState;
 use super::super::lease::{Holder, LeaseState};
-use super::super::model::{CommandId, FastStopId, Latch, PersistedKey, PersistedState};
 use super::super::observed::HeldPart;
 use super::super::recorder::{Record, RestoredState};
 use super::super::setup::{Wanted, WantedSoftLimits};
 use super::Actor;
 use super::recording::Recording;
-use crate::wsg::{Acceleration, Force, SoftLimits, Width};
+use model::{CommandId, FastStopId, Latch, PersistedKey, PersistedState};
+use wsg::{Acceleration, Force, SoftLimits, Width};
 
 /// Epochs to skip after an unclean end, in which the last epochs may not have been persisted.
 const EPOCHS_SKIPPED: u64 = 1000;
+
+/// Epochs skipped after a restoration: more than were ever used, and few enough for 2,000 restorations below 2^53, up to
+/// which JSON numbers are exact.
+const RESTORED_EPOCHS_SKIPPED: u64 = 1 << 40;
+
+/// Motions to skip in the numbers of a restored journal: more than a device can execute in four months.
+const MOTIONS_SKIPPED: u32 = 1 << 28;
+
+/// Numbers that earlier runs may have used without a trace in the journal.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Skipped {
+    Nothing,
+    /// The last run did not shut down cleanly.
+    NewestRecords,
+    /// The journal was restored, at this time in µs since 1970.
+    RestoredAt(u64),
+}
+
+impl Skipped {
+    fn after(restored: &RestoredState, now: Now) -> Self {
+        if restored.unknown_past.is_some() {
+            Self::RestoredAt(u64::try_from(now.wall.as_microsecond()).unwrap_or_default())
+        } else if restored.unclean {
+            Self::NewestRecords
+        } else {
+            Self::Nothing
+        }
+    }
+
+    /// Whether even the first number may have been used.
+    fn is_all(self) -> bool {
+        matches!(self, Self::RestoredAt(_))
+    }
+
+    /// Returns an epoch that no run has used. No lease is taken each microsecond, so the time is beyond all epochs; a
+    /// clock that is behind is made up for.
+    fn next(self, epoch: u64) -> u64 {
+        match self {
+            Self::Nothing => epoch,
+            Self::NewestRecords => epoch.saturating_add(EPOCHS_SKIPPED),
+            Self::RestoredAt(time) => epoch.saturating_add(RESTORED_EPOCHS_SKIPPED).max(time),
+        }
+    }
+
+    /// Count of numbers that the next motion skips.
+    fn motions(self) -> u32 {
+        match self {
+            Self::Nothing => 0,
+            Self::NewestRecords => EPOCHS_SKIPPED as u32,
+            // Two restored copies of the same journal also differ.
+            Self::RestoredAt(time) => MOTIONS_SKIPPED + (time / 1_000_000) as u32 % MOTIONS_SKIPPED,
+        }
+    }
+}
 
 #[derive(Debug, Serialize, Deserialize)]
 struct PersistedSettings {
@@ -107,7 +161,7 @@ impl Actor {
             self.settings.wanted = settings.wanted();
             self.settings.known_serial = settings.serial_number;
         }
-        let skipped = if restored.unclean { EPOCHS_SKIPPED } else { 0 };
+        let skipped = Skipped::after(&restored, now);
         let latch = match self.parse(restored.latch.as_deref()) {
             Some(PersistedLatch::Holds(HeldLatch { epoch, latch })) => Some((epoch, Some(latch))),
             Some(PersistedLatch::Cleared(ClearedLatch { epoch })) => Some((epoch, None)),
@@ -115,19 +169,26 @@ impl Actor {
         };
         if let Some((epoch, latch)) = latch {
             self.recording.reported.latch = (epoch, latch.as_ref().map(|latch| latch.id));
-            self.latch.restore(now.instant, epoch.saturating_add(skipped), latch);
+            self.latch.restore(now.instant, skipped.next(epoch), latch);
+        } else if skipped.is_all() {
+            self.latch.restore(now.instant, skipped.next(0), None);
         }
         let grip = self.parse(restored.holding.as_deref());
         self.recording.reported.grip = grip;
         self.observed.part = HeldPart { is_held: grip.is_some(), grip };
-        if let Some(PersistedLease { epoch, holder }) = self.parse(restored.lease.as_deref()) {
-            self.lease.restore(epoch.saturating_add(skipped), holder);
+        let lease: Option<PersistedLease> = self.parse(restored.lease.as_deref());
+        if lease.is_some() || skipped.is_all() {
+            let PersistedLease { epoch, holder } = lease.unwrap_or_default();
+            self.lease.restore(skipped.next(epoch), holder);
         }
         if let Some(last) = self.parse::<LastCommand>(restored.last_command.as_deref()) {
             self.recording.reported.last = last.clone();
-            self.commands.last = last.restored(skipped as u32);
+            self.commands.last = last.restored(skipped.motions());
+        } else if skipped.is_all() {
+            self.commands.last = LastCommand::default().restored(skipped.motions());
         }
         self.link.unannounced = restored.unclean && self.link.properties.connection_oriented;
+        self.commands.unknown_past = restored.unknown_past;
         for request in restored.requests {
             self.commands.bind_again(now, request);
         }

@@ -7,9 +7,9 @@ use tokio::sync::watch;
 use super::super::Now;
 use super::super::automatic_updates;
 use super::super::info::Info;
-use super::super::model::{Fault, LatchFields, Link, State};
 use super::{Actor, ActorConfig};
-use crate::wsg::{DeviceTag, SystemState};
+use model::{Fault, LatchFields, Link, State};
+use wsg::{DeviceTag, SystemState};
 
 /// State and device information for clients to watch.
 #[derive(Debug)]
@@ -61,11 +61,11 @@ impl Publication {
 
 /// Returns what the configuration tells about a gripper.
 fn info_of(config: &ActorConfig) -> Info {
-    let stops_on_gateway_loss = config.properties.connection_oriented && config.fast_stop_on_disconnect;
+    let stops_on_gateway_loss = config.properties.connection_oriented && config.rules.fast_stop_on_disconnect;
     let (name, url) = (config.name.clone(), config.url.clone());
     Info {
-        custom_ids: Arc::new(config.custom_ids.clone()),
-        update_period_ms: automatic_updates::period_ms(config.updates, config.properties.bytes_per_second),
+        custom_ids: Arc::new(config.rules.custom_ids.clone()),
+        update_period_ms: automatic_updates::period_ms(config.rules.updates, config.properties.bytes_per_second),
         ..Info::unknown(name, url, config.properties.name, stops_on_gateway_loss)
     }
 }

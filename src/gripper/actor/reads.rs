@@ -1,4 +1,5 @@
-//! Getters without automatic updates, read at most every few seconds, however many clients ask.
+//! Getters without automatic updates, read at most every few seconds, however many clients ask; and those with updates,
+//! read after a change that no update has followed yet.
 //!
 //! A value is served until it is too old or a request could have changed it. Callers that arrive during a read share
 //! its reply.
@@ -7,13 +8,14 @@ use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use super::super::Now;
-use super::super::error::{Failure, Rejection};
+use super::super::automatic_updates;
 use super::super::handle::ResultSender;
-use super::super::model::Missing;
 use super::Actor;
 use super::link::Purpose;
-use crate::wsg::session::End;
-use crate::wsg::{Command, Data, Reply};
+use model::Missing;
+use model::error::{Failure, Rejection};
+use wsg::session::End;
+use wsg::{Command, Data, Reply, id};
 
 /// Longest time for which a value is served.
 const FRESH_FOR: Duration = Duration::from_secs(2);
@@ -42,16 +44,14 @@ impl Reads {
         (now < *read_at + FRESH_FOR).then(|| value.clone())
     }
 
-    fn take(&mut self, now: Instant, id: u8, result: Result<Data, Rejection>) {
+    /// Takes the result of a read. Returns the callers that wait for it.
+    fn take(&mut self, now: Instant, id: u8, result: &Result<Data, Rejection>) -> Vec<ResultSender<Data>> {
         let waiting = self.waiting.remove(&id).unwrap_or_default();
-        for answer in waiting {
-            // The caller may be gone.
-            let _ = answer.send(result.clone());
-        }
         if !self.outdated && !matches!(result, Err(Rejection::Failure(_))) {
-            self.known.insert(id, (now, result));
+            self.known.insert(id, (now, result.clone()));
         }
         self.outdated &= !self.waiting.is_empty();
+        waiting
     }
 
     pub(super) fn reject_all(&mut self, rejection: &Rejection) {
@@ -70,6 +70,21 @@ impl Actor {
             let _ = answer.send(result);
             return;
         }
+        self.join_read(now, command, answer);
+    }
+
+    /// Answers with a value of a getter with automatic updates that the device measures now.
+    pub(super) fn measure(&mut self, now: Now, id: u8, answer: ResultSender<Data>) {
+        let rules = self.update_rules();
+        // The getter without updates would switch them off.
+        if let Some(command) = automatic_updates::switch_on(id, rules, self.link.properties.bytes_per_second) {
+            self.join_read(now, command, answer);
+        }
+    }
+
+    /// Waits for the read of this getter that is under way, or starts one.
+    fn join_read(&mut self, now: Now, command: Command, answer: ResultSender<Data>) {
+        let id = command.id();
         let waiting = self.reads.waiting.entry(id).or_default();
         if waiting.len() >= MAX_READERS {
             let _ = answer.send(Err(Failure::Overloaded { limit: MAX_READERS }.into()));
@@ -79,24 +94,33 @@ impl Actor {
         if waiting.len() == 1
             && let Err(not_taken) = self.link.submit(now, command, Purpose::Read(id))
         {
-            self.reads.take(now.instant, id, Err(not_taken.0));
+            self.end_read(now, id, &Err(not_taken.0));
         }
     }
 
     pub(super) fn read_ended(&mut self, now: Now, id: u8, end: End) {
         let result = match end {
             End::Reply(Reply::Success(data)) => {
-                self.observed.take(now.instant, &data);
+                // A getter with automatic updates was taken as an update.
+                if !id::has_updates(id) {
+                    self.observed.take(now.instant, &data);
+                }
                 Ok(data)
             }
             end => {
                 if let End::Reply(Reply::Status(status)) = end {
                     self.observed.lose(id, Missing::Refused(status));
                 }
-                Err(self.rejection_of(crate::wsg::id::name(id).unwrap_or("a getter"), end))
+                Err(self.rejection_of(id::name(id).unwrap_or("a getter"), end))
             }
         };
-        self.reads.take(now.instant, id, result);
+        self.end_read(now, id, &result);
+    }
+
+    fn end_read(&mut self, now: Now, id: u8, result: &Result<Data, Rejection>) {
+        for answer in self.reads.take(now.instant, id, result) {
+            self.answers.add(answer, result.clone());
+        }
     }
 }
 

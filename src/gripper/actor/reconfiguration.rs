@@ -20,7 +20,7 @@ pub(super) struct Pending {
 impl Actor {
     /// Applies a new configuration, at once if the link can stay.
     pub(super) fn reconfigure(&mut self, now: Now, change: Box<Reconfiguration>, answer: oneshot::Sender<()>) {
-        let keeps_link = change.connector.is_none() && change.config.updates == self.config.updates;
+        let keeps_link = change.connector.is_none() && change.config.rules.updates == self.config.rules.updates;
         let has_no_link = self.link.is_down() && !self.link.is_connecting;
         self.pending = Some(Pending { change, answer });
         if keeps_link || has_no_link {
@@ -35,10 +35,10 @@ impl Actor {
         let Some(Pending { change, answer }) = self.pending.take() else { return };
         let Reconfiguration { config, connector } = *change;
         self.publication.reconfigure(&config, connector.is_some());
-        self.motion.set_pause(config.motion_pause);
-        self.recording.set_on_failure(config.on_journal_failure);
+        self.motion.set_pause(config.rules.motion_pause);
+        self.recording.set_on_failure(config.rules.shared.on_journal_failure);
         if let Some(connector) = connector {
-            self.observed = Observed::new(config.updates, config.properties.bytes_per_second);
+            self.observed = Observed::new(config.rules.updates, config.properties.bytes_per_second);
             self.link.url.clone_from(&config.url);
             self.link.properties = config.properties;
             self.link.unannounced = false;
@@ -46,7 +46,7 @@ impl Actor {
             self.motion.forget_unseen();
             self.connector = Some(connector);
         } else {
-            self.observed.set_rules(config.updates, config.properties.bytes_per_second);
+            self.observed.set_rules(config.rules.updates, config.properties.bytes_per_second);
         }
         self.config = config;
         self.answers.add(answer, ());

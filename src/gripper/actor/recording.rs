@@ -7,17 +7,17 @@ use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 use super::super::Now;
-use super::super::error::Failure;
-use super::super::model::{
-    Admitted, Client, CommandEvent, CommandId, CommandReport, Detail, DeviceEvent, Done, Event, FastStopEvent,
-    FastStopStep, Latch, LeaseEvent, Link, LinkEvent, Name, OnJournalFailure, Parameters, Submission,
-};
 use super::super::recorder::{JournalHealth, Record};
 use super::flicker::Flicker;
 use super::measuring::MeasuredMotion;
 use super::persistence::LastReported;
 use super::repeats::Repeats;
-use crate::wsg::SystemState;
+use model::error::Failure;
+use model::{
+    Admitted, Client, CommandEvent, CommandId, CommandReport, Detail, DeviceEvent, Done, Event, FastStopEvent,
+    FastStopStep, Latch, LeaseEvent, Link, LinkEvent, Name, OnJournalFailure, Parameters, Submission,
+};
+use wsg::SystemState;
 
 /// Time limit for a command's record to become durable. When it expires, the command is refused, or it proceeds without
 /// the record if `on_journal_failure` is `continue`. Either happens at once: no command waits longer for the journal.
@@ -113,9 +113,10 @@ impl Recording {
         self.push(Record::Event(event, None));
     }
 
-    pub(super) fn device(&mut self, now: Now, event: DeviceEvent) {
+    /// Records a change of the device. Returns whether it was recorded at once, and not only counted.
+    pub(super) fn device(&mut self, now: Now, event: DeviceEvent) -> bool {
         let event = self.event(now, Detail::Device(event));
-        self.change_of_device(now, event);
+        self.change_of_device(now, event)
     }
 
     /// Records the admission of a command.
@@ -186,6 +187,11 @@ impl Recording {
 
     pub(super) fn streamed(&mut self, now: Now, raw_id: u8, client: &Client, count: u64) {
         let event = self.event(now, Detail::Device(DeviceEvent::Streamed { raw_id, count })).by(client);
+        self.record(event);
+    }
+
+    pub(super) fn stream_silent(&mut self, now: Now, raw_id: u8) {
+        let event = self.event(now, Detail::Device(DeviceEvent::StreamSilent { raw_id }));
         self.record(event);
     }
 

@@ -4,11 +4,11 @@
 use std::time::{Duration, Instant};
 
 use super::super::Now;
-use super::super::error::{Failure, Rejection};
 use super::super::handle::Ticket;
-use super::super::model::{Client, CommandId, Detail, Event, FastStopEvent, Outcome, Submission};
 use super::Actor;
 use super::recording::Recording;
+use model::error::{Failure, Rejection};
+use model::{Client, CommandId, Detail, Event, FastStopEvent, Outcome, Submission};
 
 /// Time for which repeated requests are counted.
 const COUNTED_FOR: Duration = Duration::from_secs(1);

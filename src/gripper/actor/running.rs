@@ -3,12 +3,12 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use super::super::error::{Conflict, Failure};
-use super::super::model::{Client, CommandId, FastStopId, Kind, Motion, Outcome};
 use super::super::observed::Observed;
 use super::RESULT_WITHIN;
-use crate::wsg::session::Token;
-use crate::wsg::{GripperState, Status};
+use model::error::{Conflict, Failure};
+use model::{Client, CommandId, FastStopId, Kind, Motion, Outcome};
+use wsg::session::Token;
+use wsg::{GripperState, Status};
 
 /// Time limit for homing: the longest stroke at the slowest homing speed.
 const HOMING_WITHIN: Duration = Duration::from_mins(1);
@@ -61,6 +61,8 @@ pub(super) struct Running {
     pub unknown_because: Option<Failure>,
     /// Whether the gateway sends a Stop behind the motion, because its result is unknown.
     pub is_stopped_behind: bool,
+    /// Whether a part may have been held before the motion was sent.
+    pub may_have_held: bool,
     /// Reply of a script.
     pub payload: Option<Vec<u8>>,
 }
@@ -99,6 +101,7 @@ impl Running {
             cancelled_by: None,
             unknown_because: None,
             is_stopped_behind: false,
+            may_have_held: true,
             payload: None,
         }
     }
@@ -351,7 +354,7 @@ pub(super) fn outcome_of(kind: Kind, status: Status) -> Outcome {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::wsg::HomingDirection;
+    use wsg::HomingDirection;
 
     #[test]
     fn motion_starts_after_the_configured_pause() {

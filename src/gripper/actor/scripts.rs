@@ -8,12 +8,12 @@
 use std::time::{Duration, Instant};
 
 use super::super::Now;
-use super::super::error::Rejection;
-use super::super::model::{Client, LeaseToken, LossCause, TakeLease};
 use super::Actor;
 use super::link::{Exchange, Purpose};
-use crate::wsg::session::{End, SCRIPT_REPLIES_WITHIN, Token};
-use crate::wsg::{GripperState, SystemState};
+use model::error::Rejection;
+use model::{Client, LeaseToken, LossCause, TakeLease};
+use wsg::session::{End, SCRIPT_REPLIES_WITHIN, Token};
+use wsg::{GripperState, SystemState};
 
 /// Longest time from a script's request or reply to the motion that it causes. The flags show the motion up to one
 /// period of the updates later.

@@ -3,16 +3,16 @@
 use std::collections::BTreeSet;
 
 use super::super::Now;
-use super::super::error::Conflict;
 use super::super::info::has_temperature;
 use super::super::limits::Limits;
-use super::super::model::{Client, Detail, SettingChange, SettingsEvent};
 use super::super::observed::Observed;
 use super::super::setup::{Setting, Setup, Wanted, WantedSoftLimits};
 use super::overdrive::Overdrive;
 use super::recording::Recording;
 use super::tag::TagWrites;
-use crate::wsg::{Command, Data, Finger, SystemInfo, SystemState};
+use model::error::Conflict;
+use model::{Client, Detail, SettingChange, SettingsEvent};
+use wsg::{Command, Data, Finger, SystemInfo, SystemState};
 
 #[derive(Debug, Default)]
 pub(super) struct Settings {

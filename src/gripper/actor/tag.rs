@@ -2,8 +2,8 @@
 
 use std::time::{Duration, Instant};
 
-use super::super::error::Failure;
-use crate::wsg::{Command, DeviceTag};
+use model::error::Failure;
+use wsg::{Command, DeviceTag};
 
 /// Shortest time between two writes by all clients together. A tag changes far less often.
 const WRITE_EVERY: Duration = Duration::from_secs(1);

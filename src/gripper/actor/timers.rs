@@ -6,8 +6,8 @@ use super::super::Now;
 use super::super::{automatic_updates, observed};
 use super::Actor;
 use super::link::Purpose;
-use crate::wsg::Command;
-use crate::wsg::session::Session;
+use wsg::Command;
+use wsg::session::Session;
 
 /// Time for clients' requests to pass through their interfaces after a stall of the gateway.
 const FRONTEND_GRACE: Duration = Duration::from_millis(200);
@@ -30,7 +30,7 @@ const fn always(deadline: fn(&Actor) -> Option<Instant>, run: fn(&mut Actor, Now
 }
 
 /// All timers, in the order in which their work is done.
-const TIMERS: [Timer; 18] = [
+const TIMERS: [Timer; 19] = [
     always(|actor| actor.observed.values.ends_at(), Actor::expire_values),
     always(Actor::silence_at, Actor::supervise),
     always(Actor::fast_stop_at, Actor::send_fast_stop_if_due),
@@ -46,6 +46,7 @@ const TIMERS: [Timer; 18] = [
     due(|actor| actor.recording.repeats.next_timeout(), |actor, _| actor.recording.record_repeats()),
     due(|actor| actor.recording.flicker.next_timeout(), |actor, now| actor.recording.record_flicker(now)),
     due(|actor| actor.streaming.next_timeout(), |actor, now| actor.streaming.write(now, &mut actor.recording)),
+    due(Actor::stream_silent_at, Actor::stop_silent_stream),
     due(|actor| actor.settings.overdrive.next_timeout(), |actor, now| actor.settings.overdrive.expire(now.instant)),
     always(|actor| actor.drain.as_ref()?.next_timeout(), Actor::continue_drain),
     due(Actor::updates_missed_at, Actor::renew_updates),

@@ -5,12 +5,12 @@ use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use super::super::Now;
-use super::super::model::Client;
 use super::super::setup::Setting;
 use super::Actor;
 use super::link::Purpose;
-use crate::wsg::session::End;
-use crate::wsg::{Command, Reply, Status};
+use model::Client;
+use wsg::session::End;
+use wsg::{Command, Reply, Status};
 
 /// Period of the attempts to read a setting back.
 const READ_EVERY: Duration = Duration::from_secs(1);

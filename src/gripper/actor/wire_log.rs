@@ -6,10 +6,10 @@ use std::sync::Arc;
 use tokio::sync::broadcast;
 
 use super::super::Now;
-use super::super::model::{DamageRecord, FrameDirection, FrameRecord, Name, WireDamage, WireRecord};
-use crate::wsg::frame::{HEADER_BYTES, OVERHEAD_BYTES};
-use crate::wsg::text::{WireDirection, describe, describe_damaged, describe_skipped};
-use crate::wsg::{self, ChecksumEvaluation, Decoded, Decoder, id};
+use model::{DamageRecord, FrameDirection, FrameRecord, Name, WireDamage, WireRecord};
+use wsg::frame::{HEADER_BYTES, OVERHEAD_BYTES};
+use wsg::text::{WireDirection, describe, describe_damaged, describe_skipped};
+use wsg::{self, ChecksumEvaluation, Decoded, Decoder, id};
 
 /// Number of records that a listener can lag behind: about two seconds of a device on TCP.
 const MAX_BEHIND: usize = 1024;

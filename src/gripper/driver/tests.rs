@@ -5,11 +5,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use tokio::io::ReadBuf;
 
 use super::*;
-use crate::gripper::actor::tests::{TCP, client, config};
-use crate::gripper::model::Link;
-use crate::gripper::recorder::NullRecorder;
-use crate::sim::{Device, DeviceConfig, Interface};
-use crate::transport::LinkProperties;
+use crate::actor::tests::{TCP, client, config};
+use crate::recorder::NullRecorder;
+use model::Link;
+use sim::{Device, DeviceConfig, Interface};
+use transport::LinkProperties;
 
 struct Datagrams(VecDeque<io::Result<&'static [u8]>>);
 
@@ -181,8 +181,8 @@ async fn owed_fast_stop_makes_the_pauses_short() {
     attempts.lock().unwrap().clear();
     let requested = tokio::time::Instant::now();
     for _ in 0..20 {
-        let reason = crate::gripper::model::Reason::truncated("");
-        handle.fast_stop(crate::gripper::model::FastStopId::generate(), client(), reason).await;
+        let reason = model::Reason::truncated("");
+        handle.fast_stop(model::FastStopId::generate(), client(), reason).await;
     }
     let attempts = attempts.lock().unwrap().clone();
     assert!(attempts[0] <= requested + Duration::from_millis(2), "{:?}", attempts[0] - requested);

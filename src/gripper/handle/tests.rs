@@ -1,8 +1,8 @@
 use futures_util::FutureExt as _;
 
 use super::*;
-use crate::gripper::fake;
-use crate::gripper::model::Door;
+use crate::fake;
+use model::Door;
 
 /// A handle whose requests stay in the queue.
 fn idle() -> (Handle, mpsc::Receiver<ActorRequest>) {

@@ -1,10 +1,10 @@
 use tokio::sync::oneshot;
 
 use super::*;
-use crate::gripper::error::Failure;
-use crate::gripper::model::Door;
-use crate::wsg::Command;
-use crate::wsg::session::{Request, Session, SessionConfig};
+use model::Door;
+use model::error::Failure;
+use wsg::Command;
+use wsg::session::{Request, Session, SessionConfig};
 
 fn acknowledge_frame(now: Instant) -> Token {
     let frame_gap = Duration::from_millis(100);

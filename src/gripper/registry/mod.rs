@@ -7,12 +7,12 @@ use std::time::{Duration, Instant};
 use tokio::sync::watch;
 
 use super::Now;
-use super::error::{Conflict, Failure};
 use super::handle::Ticket;
 use super::last_command::LastCommand;
-use super::model::{Client, CommandId, CommandReport, Kind, Outcome, Parameters, Phase, RequestId, Submission};
-use super::recorder::PastRequest;
+use super::recorder::{PastRequest, UnknownPast};
 use super::request_ids::{Key, REPLAYED_FOR, RequestIds, SlotBounds};
+use model::error::{Conflict, Failure};
+use model::{Client, CommandId, CommandReport, Kind, Outcome, Parameters, Phase, RequestId, Submission};
 
 /// Time for which a command can be looked up.
 const KEPT_FOR: Duration = Duration::from_hours(1);
@@ -45,6 +45,8 @@ pub(super) struct CommandRegistry {
     frequent_ids: RequestIds,
     /// The newest motion.
     pub last: LastCommand,
+    /// The time without records, if the journal was restored.
+    pub unknown_past: Option<Arc<UnknownPast>>,
     /// Ended commands whose clients have not been notified yet.
     unnotified: Vec<Arc<CommandReport>>,
 }
@@ -97,6 +99,7 @@ impl Default for CommandRegistry {
             motion_ids: RequestIds::new(MOTION_IDS),
             frequent_ids: RequestIds::new(FREQUENT_IDS),
             last: LastCommand::default(),
+            unknown_past: None,
             unnotified: Vec::new(),
         }
     }
@@ -122,6 +125,13 @@ impl CommandRegistry {
         let has_room = submission.request_id.is_none() || self.motion_ids.has_room(&submission.client.subject);
         let limit = self.motion_ids.per_subject();
         if has_room { Ok(()) } else { Err(Failure::RequestIds { limit }) }
+    }
+
+    /// Refuses a request id that may belong to a request of a time without records. The request is not a repetition of a
+    /// known one.
+    pub(super) fn check_past(&self, now: Instant, submission: &Submission) -> Result<(), Conflict> {
+        let is_unknown = self.unknown_past.as_ref().is_some_and(|past| past.refuses_ids(now));
+        if is_unknown && submission.request_id.is_some() { Err(Conflict::UnknownPast) } else { Ok(()) }
     }
 
     /// Adds an admitted command. Few streamed commands are kept.

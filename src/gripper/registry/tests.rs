@@ -1,8 +1,8 @@
 use jiff::Timestamp;
 
-use super::super::model::{Action, Door, IdSource, Motion, RequestId};
 use super::*;
-use crate::wsg::HomingDirection;
+use model::{Action, Door, IdSource, Motion, RequestId};
+use wsg::HomingDirection;
 
 fn home() -> Action {
     Action::Motion(Motion::Home(HomingDirection::Default))

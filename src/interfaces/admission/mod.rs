@@ -147,6 +147,11 @@ impl ConnectionPermit {
         self.evicted.cancelled().await;
     }
 
+    /// Whether the connection has to end.
+    pub fn is_evicted(&self) -> bool {
+        self.evicted.is_cancelled()
+    }
+
     /// Whether no complete request has arrived yet.
     pub fn is_unused(&self) -> bool {
         !self.has_served.load(Ordering::Relaxed)

@@ -164,7 +164,7 @@ fn end_of_a_motion_evicts_no_long_poll() {
     let (permits, waiting): (Vec<_>, Vec<_>) = (0..1100).map(poll).unzip();
     assert!(waiting.iter().any(Option::is_none));
     drop(waiting);
-    // Those that were answered early ask again.
+    // Clients that were answered early ask again.
     for permit in &permits {
         drop(permit.claim(Class::Answering).unwrap());
     }

@@ -8,18 +8,27 @@ use axum::response::Response;
 use tracing::field::Empty;
 use tracing::{Instrument, Span, debug, debug_span, info, info_span};
 
-use super::context::HttpContext;
+use super::context::{API, HttpContext, SOCKET};
 use super::problem::RefusedMark;
+use super::refused_sockets::Handshake;
 use super::visitor::client;
 
 /// Counts and logs a request: a read at DEBUG, any other at INFO.
 pub async fn watch(context: &HttpContext, request: Request, next: impl AsyncFnOnce(Request) -> Response) -> Response {
     let (method, span) = (request.method().clone(), span(&request));
     let route = request.extensions().get::<MatchedPath>().cloned();
+    let is_socket = method == Method::GET && request.uri().path().strip_prefix(API) == Some(SOCKET);
+    let handshake = is_socket.then(|| (client(request.extensions()), Handshake::of(request.headers())));
     let since = Instant::now();
     let response = next(request).instrument(span.clone()).await;
     let (status, duration_ms) = (response.status().as_u16(), since.elapsed().as_millis() as u64);
-    let code = response.extensions().get().map(|RefusedMark { code, .. }| code.as_str());
+    let refused: Option<&RefusedMark> = response.extensions().get();
+    if let Some((client, headers)) = handshake
+        && let Some(refused) = refused
+    {
+        context.refused_sockets.note(&client.subject, &headers, refused);
+    }
+    let code = refused.map(|RefusedMark { code, .. }| code.as_str());
     span.in_scope(|| match method {
         Method::GET | Method::HEAD => debug!(status, code, duration_ms, "answered"),
         _ => info!(status, code, duration_ms, "answered"),

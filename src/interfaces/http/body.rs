@@ -5,6 +5,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::body::{Body as Stream, Bytes};
+use axum::http::HeaderMap;
+use axum::http::header::{CONTENT_ENCODING, CONTENT_LENGTH, EXPECT};
 use http_body_util::{BodyExt, LengthLimitError, Limited};
 use tokio::time::timeout;
 
@@ -38,11 +40,32 @@ async fn collect(mut stream: Stream, permit: Option<&Arc<ConnectionPermit>>) -> 
         Ok(collected) => Ok((collected.to_bytes(), held)),
         Err(error) if error.is::<LengthLimitError>() => {
             drain(stream).await;
-            let detail = format!("the body is larger than {MAX_BODY_BYTES} bytes");
-            Err(Problem::new(Code::TooLarge, detail).limits(None, Some(MAX_BODY_BYTES.into())))
+            Err(too_large())
         }
         Err(error) => Err(Problem::new(Code::Malformed, format!("the body could not be read: {error}"))),
     }
+}
+
+fn too_large() -> Problem {
+    let detail = format!("the body is larger than {MAX_BODY_BYTES} bytes");
+    Problem::new(Code::TooLarge, detail).limits(None, Some(MAX_BODY_BYTES.into()))
+}
+
+/// Refuses a body that is too large before the client sends it, if the client waits for `100 Continue` (RFC 9110, 10.1.1).
+pub fn check_announced(headers: &HeaderMap) -> Result<(), Problem> {
+    let waits = headers.get(EXPECT).is_some_and(|value| value.as_bytes().eq_ignore_ascii_case(b"100-continue"));
+    let length = headers.get(CONTENT_LENGTH).and_then(|value| value.to_str().ok()?.parse::<u64>().ok());
+    let is_too_large = length.is_some_and(|length| length > MAX_BODY_BYTES as u64);
+    if waits && is_too_large { Err(too_large()) } else { Ok(()) }
+}
+
+/// Refuses a compressed body, which would be read as JSON.
+pub fn check_encoding(headers: &HeaderMap, body: &Bytes) -> Result<(), Problem> {
+    let mut encodings = headers.get_all(CONTENT_ENCODING).iter();
+    if body.is_empty() || encodings.all(|value| value.as_bytes().eq_ignore_ascii_case(b"identity")) {
+        return Ok(());
+    }
+    Err(Problem::new(Code::UnsupportedEncoding, "the body has a Content-Encoding: send it uncompressed"))
 }
 
 /// Returns the bytes of a body, which may have been read already.

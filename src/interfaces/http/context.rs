@@ -5,12 +5,17 @@ use std::sync::Arc;
 use prometheus::Registry;
 use tokio_util::sync::CancellationToken;
 
+use super::refused_sockets::RefusedSockets;
 use super::settings::SharedSettings;
 use crate::interfaces::metrics::InterfaceMetrics;
 use crate::interfaces::{self, Runtimes};
 use crate::operations::Gateway;
 
 pub const API: &str = "/api/v1";
+
+/// Paths of the WebSocket and of the event stream.
+pub const SOCKET: &str = "/ws";
+pub const STREAM: &str = "/stream";
 
 #[derive(Debug, Clone)]
 pub struct HttpContext {
@@ -22,6 +27,7 @@ pub struct HttpContext {
     pub ws_metrics: InterfaceMetrics,
     pub registry: Registry,
     pub settings: SharedSettings,
+    pub refused_sockets: Arc<RefusedSockets>,
 }
 
 impl HttpContext {
@@ -47,6 +53,7 @@ impl HttpContext {
             ws_metrics,
             registry,
             settings: SharedSettings::default(),
+            refused_sockets: Arc::default(),
         }
     }
 }

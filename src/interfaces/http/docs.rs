@@ -2,21 +2,17 @@
 
 use std::sync::Arc;
 
-use axum::Extension;
-use axum::body::Bytes;
 use axum::extract::{Path, Request};
 use axum::http::header::{CACHE_CONTROL, CONTENT_ENCODING, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderValue};
 use axum::response::{Html, IntoResponse, Response};
 use axum::{Router, routing};
-use serde_json::Value;
 use utoipa::OpenApi as _;
 use utoipa::openapi::security::{ApiKey, ApiKeyValue, HttpAuthScheme, HttpBuilder, SecurityScheme};
 use utoipa::openapi::{OpenApi, RefOr, Schema};
 
-use super::asyncapi as websocket;
 use super::paths::responses;
-use super::visitor::SESSION_COOKIE;
-use crate::interfaces::on_demand::OnDemand;
+use super::settings::HttpSettings;
+use super::visitor::cookie_name;
 use crate::journal::{EventKind, Order};
 use crate::operations::records::GripKinds;
 use crate::operations::statistics::MeasuredGrips;
@@ -25,15 +21,22 @@ use crate::operations::{Members, Problem};
 /// Paths of the API's documents.
 pub const DOCUMENTS: [&str; 2] = ["/openapi.json", "/asyncapi.yaml"];
 
+/// The OpenAPI document.
+pub const OPENAPI: &str = include_str!("../../../openapi/openapi.json");
+
+/// The AsyncAPI document of the WebSocket, as YAML.
+pub const ASYNCAPI: &str = include_str!("../../../openapi/asyncapi.yaml");
+
 /// Head of the OpenAPI document: title, description and tags.
 #[derive(utoipa::OpenApi)]
 #[openapi(
     info(
         title = "WSG Gateway",
         description = "Lets many clients share Weiss/SCHUNK WSG grippers.\n\n\
-            Bodies are read as JSON whatever their Content-Type; an empty body means `{}`. Field names include their \
-            units. A refused request returns a problem (RFC 9457) with a stable `code`; a motion that the device \
-            accepts returns a command with an `outcome`. FAST STOP is not a safety function in the sense of ISO 13850.",
+            Bodies are read as JSON whatever their Content-Type; an empty body or `null` means `{}`, and an optional \
+            field that is `null` counts as absent. Field names include their units. A refused request returns a problem \
+            (RFC 9457) with a stable `code`; a motion that the device accepts returns a command with an `outcome`. FAST \
+            STOP is not a safety function in the sense of ISO 13850.",
         license(name = "MIT", identifier = "MIT"),
         contact(),
     ),
@@ -66,12 +69,16 @@ pub fn base() -> OpenApi {
     responses::describe(components);
     let token = HttpBuilder::new().scheme(HttpAuthScheme::Bearer).description(Some("A token of the gateway")).build();
     components.add_security_scheme("token", SecurityScheme::Http(token));
-    let session = ApiKeyValue::with_description(SESSION_COOKIE, "A session of a browser, which `sign_in` begins");
+    let name = cookie_name(&HttpSettings::default());
+    let description = "A session of a browser, which `sign_in` begins. The name ends with the gateway's port, and begins \
+                       with `__Host-` over TLS";
+    let session = ApiKeyValue::with_description(name, description.to_owned());
     components.add_security_scheme("session", SecurityScheme::ApiKey(ApiKey::Cookie(session)));
     document
 }
 
-/// Marks optional bodies as omittable instead of nullable.
+/// Marks optional bodies as omittable instead of nullable, because code generators handle that better. A body of `null` is
+/// accepted nevertheless.
 pub fn without_null_bodies(document: &mut OpenApi) {
     let bodies = document.paths.paths.values_mut().flat_map(|item| [&mut item.put, &mut item.post, &mut item.delete]);
     for body in bodies.flatten().filter_map(|operation| operation.request_body.as_mut()) {
@@ -90,8 +97,8 @@ pub fn without_null_bodies(document: &mut OpenApi) {
     get, path = "/openapi.json", operation_id = "openapi", tag = "gateway",
     responses((status = 200, description = "This document", body = serde_json::Value), responses::AnyProblem)
 )]
-pub async fn openapi(Extension(documents): Extension<Arc<Documents>>) -> Result<impl IntoResponse, Problem> {
-    Ok(([(CONTENT_TYPE, "application/json")], documents.openapi.get().await?.clone()))
+pub async fn openapi() -> impl IntoResponse {
+    ([(CONTENT_TYPE, "application/json")], OPENAPI)
 }
 
 /// Get the AsyncAPI document
@@ -101,50 +108,39 @@ pub async fn openapi(Extension(documents): Extension<Arc<Documents>>) -> Result<
     get, path = "/asyncapi.yaml", operation_id = "asyncapi", tag = "gateway",
     responses((status = 200, description = "The document", body = serde_json::Value, content_type = "application/yaml"), responses::AnyProblem)
 )]
-pub async fn asyncapi(Extension(documents): Extension<Arc<Documents>>) -> Result<impl IntoResponse, Problem> {
-    Ok(([(CONTENT_TYPE, "application/yaml")], documents.asyncapi.get().await?.clone()))
+pub async fn asyncapi() -> impl IntoResponse {
+    ([(CONTENT_TYPE, "application/yaml")], ASYNCAPI)
 }
 
-/// The API's documents, encoded once and shared by all responses.
-pub struct Documents {
-    openapi: OnDemand<Bytes>,
-    asyncapi: OnDemand<Bytes>,
-}
-
-impl Documents {
-    /// Prepares the OpenAPI document that `openapi` returns, and the AsyncAPI document made from it, for the first request.
-    pub fn new(openapi: fn() -> Value) -> Self {
-        Self {
-            openapi: OnDemand::new(move || serde_json::to_vec(&openapi()).unwrap_or_default().into()),
-            asyncapi: OnDemand::new(move || websocket::yaml(&openapi()).unwrap_or_default().into()),
-        }
-    }
-}
-
-/// The API page. Its links are absolute, since nothing redirects `/docs` to `/docs/`.
+/// The API page. Its links are relative to `/docs`, so that a proxy can serve it below any path.
 const PAGE: &str = r#"<!doctype html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <title>WSG Gateway: HTTP API</title>
-<link rel="stylesheet" href="/docs/swagger-ui.css">
-<link rel="icon" type="image/png" href="/docs/favicon-32x32.png">
+<link rel="stylesheet" href="docs/swagger-ui.css">
+<link rel="icon" type="image/png" href="docs/favicon-32x32.png">
 </head>
 <body>
 <div id="swagger-ui"></div>
-<script src="/docs/swagger-ui-bundle.js"></script>
-<script src="/docs/start.js"></script>
+<script src="docs/swagger-ui-bundle.js"></script>
+<script src="docs/start.js"></script>
 </body>
 </html>
 "#;
 
-const START: &str = r##"window.ui = SwaggerUIBundle({
-  url: "/api/v1/openapi.json",
-  dom_id: "#swagger-ui",
-  deepLinking: true,
-  displayRequestDuration: true,
-  validatorUrl: null,
+/// Script of the API page. Requests go to the address of the page, because the document cannot know the path below which
+/// a proxy serves it.
+const START: &str = r##"fetch("api/v1/openapi.json").then((response) => response.json()).then((spec) => {
+  const { href } = new URL(".", location.href);
+  window.ui = SwaggerUIBundle({
+    spec: { ...spec, servers: [{ url: href.slice(0, -1), description: "This gateway" }] },
+    dom_id: "#swagger-ui",
+    deepLinking: true,
+    displayRequestDuration: true,
+    validatorUrl: null,
+  });
 });
 "##;
 
@@ -177,20 +173,5 @@ async fn part(Path(file): Path<String>, _: Request) -> Response {
             response
         }
         _ => Problem::not_found("such path").into_response(),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use std::fs;
-
-    #[test]
-    fn checked_in_document_is_current() {
-        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/openapi/openapi.json");
-        let served = serde_json::to_string_pretty(&crate::interfaces::http::openapi()).unwrap() + "\n";
-        assert!(
-            fs::read_to_string(path).unwrap_or_default() == served,
-            "openapi/openapi.json is stale: cargo run -- openapi > openapi/openapi.json"
-        );
     }
 }

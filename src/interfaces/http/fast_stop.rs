@@ -1,21 +1,21 @@
 //! FAST STOP over HTTP.
 //!
 //! A FAST STOP happens whatever its body says and however long the body takes, since the body is only a reason. So the
-//! body is read here, within [`REASON_TIME`]. A client that disconnects earlier still stops its gripper.
+//! body is read here, within [`REASON_TIME`]. A client that disconnects earlier still stops its gripper, because the connection has
+//! spawned its request.
 
 use std::sync::Arc;
 use std::time::Duration;
 
 use axum::body::{Body, Bytes};
-use axum::http::Method;
+use axum::http::HeaderName;
+use axum::http::header::{CONTENT_LENGTH, TRANSFER_ENCODING};
 use http_body_util::{BodyExt, Limited};
 use tokio::time::timeout;
-use tracing::Instrument as _;
 
 use super::body;
 use crate::interfaces::admission::{Class, ConnectionPermit};
 use crate::operations::json::MAX_BODY_BYTES;
-use crate::operations::{Code, Problem};
 
 /// Time that a FAST STOP waits for its reason. Header and body usually arrive in one packet or in two directly after
 /// each other. If the body is late, stopping matters more than knowing why.
@@ -24,70 +24,49 @@ pub(super) const REASON_TIME: Duration = Duration::from_millis(20);
 /// Time to read the rest of a body while the FAST STOP is in progress: no longer than the FAST STOP takes.
 const REST_TIME: Duration = crate::gripper::handle::FAST_STOP_WAIT;
 
-const END_OF_HEAD: &[u8] = b"\r\n\r\n";
+/// Maximum number of header fields of a FAST STOP that is recognised before its connection is served. Browsers and proxies
+/// send about 25.
+const MAX_FIELDS: usize = 100;
 
 /// The end of a FAST STOP's path.
 const FAST_STOP: &str = "/fast-stop";
 
 /// Stops with the body's reason, if it arrives in time. The rest of the body is read meanwhile, so that the client sees
-/// the response. Runs on its own task, since a handler ends with its client's connection.
+/// the response.
 ///
 /// With `permit`, the connection gets the slot of a FAST STOP once the body is complete. A FAST STOP whose body stays
 /// unfinished must not take the slot, and so the answer, of a client that has sent a whole request.
-pub async fn with_reason<T, S, F>(
+pub async fn with_reason<T>(
     mut stream: Body,
     permit: Option<Arc<ConnectionPermit>>,
-    stop: S,
-) -> Result<T, Problem>
-where
-    T: Send + 'static,
-    S: FnOnce(Bytes) -> F + Send + 'static,
-    F: Future<Output = T> + Send,
-{
-    let stopping = async move {
-        let collected = timeout(REASON_TIME, Limited::new(&mut stream, MAX_BODY_BYTES).collect()).await;
-        let (text, _claim) = match collected {
-            Ok(Ok(collected)) => (collected.to_bytes(), permit.and_then(|permit| permit.claim(Class::Urgent))),
-            _ => (Bytes::new(), None),
-        };
-        let (stopped, _) = tokio::join!(stop(text), timeout(REST_TIME, body::drain(stream)));
-        stopped
+    stop: impl AsyncFnOnce(Bytes) -> T,
+) -> T {
+    let collected = timeout(REASON_TIME, Limited::new(&mut stream, MAX_BODY_BYTES).collect()).await;
+    let (text, _claim) = match collected {
+        Ok(Ok(collected)) => (collected.to_bytes(), permit.and_then(|permit| permit.claim(Class::Urgent))),
+        _ => (Bytes::new(), None),
     };
-    tokio::spawn(stopping.in_current_span())
-        .await
-        .map_err(|error| Problem::new(Code::Internal, format!("result of the FAST STOP unknown: {error}")))
-}
-
-/// Whether a request is a FAST STOP, judged by its path.
-pub fn is_fast_stop<B>(request: &axum::http::Request<B>) -> bool {
-    request.method() == Method::POST && request.uri().path().trim_end_matches('/').ends_with(FAST_STOP)
-}
-
-/// Whether a request stops fingers, judged by its path: a FAST STOP, a Stop or a cancel.
-pub fn is_stop<B>(request: &axum::http::Request<B>) -> bool {
-    let path = request.uri().path().trim_end_matches('/');
-    is_fast_stop(request) || ["/stop", "/cancel"].iter().any(|end| path.ends_with(end))
+    let (stopped, _) = tokio::join!(stop(text), timeout(REST_TIME, body::drain(stream)));
+    stopped
 }
 
 /// Whether a connection begins with a whole FAST STOP: its head, and as many bytes of a body as the head announces.
 pub fn begins_with_fast_stop(first: &[u8]) -> bool {
-    let Some(head) = first.windows(END_OF_HEAD.len()).position(|part| part == END_OF_HEAD) else { return false };
-    let (head, body) = first.split_at(head + END_OF_HEAD.len());
-    if !may_be_fast_stop(head) {
+    let mut fields = [httparse::EMPTY_HEADER; MAX_FIELDS];
+    let mut request = httparse::Request::new(&mut fields);
+    let Ok(httparse::Status::Complete(head)) = request.parse(first) else { return false };
+    let path = request.path.and_then(|target| target.split('?').next()).unwrap_or_default();
+    let is_fast_stop = path.trim_end_matches('/').ends_with(FAST_STOP);
+    let given = |name: &HeaderName| {
+        request.headers.iter().find(|field| field.name.eq_ignore_ascii_case(name.as_str())).map(|field| field.value)
+    };
+    // The end of a chunked body is not announced.
+    if !is_fast_stop || given(&TRANSFER_ENCODING).is_some() {
         return false;
     }
-    let fields = String::from_utf8_lossy(head).to_ascii_lowercase();
-    let fields = fields.lines().filter_map(|line| line.split_once(':'));
-    let mut announced = 0;
-    for (name, value) in fields {
-        match (name, value.trim().parse::<usize>()) {
-            ("content-length", Ok(length)) => announced = length,
-            // The end of such a body is not announced.
-            ("content-length", Err(_)) | ("transfer-encoding", _) => return false,
-            _ => {}
-        }
-    }
-    body.len() >= announced
+    let announced = given(&CONTENT_LENGTH).unwrap_or(b"0");
+    let announced = std::str::from_utf8(announced).ok().and_then(|length| length.trim().parse().ok());
+    announced.is_some_and(|announced: usize| first.len() - head >= announced)
 }
 
 /// Whether a request that begins with these bytes can be a FAST STOP.
@@ -114,6 +93,12 @@ mod tests {
             ("Content-Length: 0\r\n", false),
         ] {
             assert_eq!(begins_with_fast_stop(format!("{post}{rest}").as_bytes()), expected, "{rest:?}");
+        }
+        for target in ["/api/v1/fast-stop?source=curtain", "/api/v1/fast-stop/", "http://cell/api/v1/fast-stop?x=/"] {
+            assert!(
+                begins_with_fast_stop(format!("POST {target} HTTP/1.1\r\nhost: cell\r\n\r\n").as_bytes()),
+                "{target}"
+            );
         }
         assert!(!begins_with_fast_stop(b"POST /api/v1/grippers/g/stop HTTP/1.1\r\nHost: localhost\r\n\r\n/fast-stop"));
     }

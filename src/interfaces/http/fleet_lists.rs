@@ -17,7 +17,7 @@ use super::context::HttpContext;
 use super::journal::{EventsQuery, GripsQuery, RecordsQuery};
 use super::paths::responses::{AnyProblem, JournalProblem};
 use crate::fleet::{NoAnswer, READINESS};
-use crate::gripper::model::Name;
+use crate::model::Name;
 use crate::operations::fleet::no_answer;
 use crate::operations::readiness::Readiness;
 use crate::operations::records::{EventPage, GripPage, RecordList};
@@ -137,7 +137,7 @@ async fn records(context: &HttpContext, list: RecordList, uri: &Uri) -> Result<R
 
 /// Splits a query into the gateway and the rest.
 fn split(uri: &Uri) -> Result<(Option<Name>, String), Problem> {
-    let given = QueryString::of(uri)?;
+    let given = QueryString::of(uri);
     let gateway: Option<Name> = given.parsed(GATEWAY, "a gateway's name", |text| text.parse().ok())?;
     if gateway.is_none() && given.one("cursor")?.is_some() {
         return Err(Problem::malformed("cursor", "cursor belongs to one gateway: add the parameter gateway"));

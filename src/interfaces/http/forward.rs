@@ -14,21 +14,23 @@ use serde_json::value::RawValue;
 use serde_json::{Map, Value};
 use tokio::time::timeout;
 
+use super::asked::Asked;
 use super::body;
 use super::context::{API, HttpContext};
 use super::fast_stop::{REASON_TIME, with_reason};
-use super::operation::{RequestBody, serve_below};
+use super::operation::{RequestBody, query, serve_below};
 use super::problem::{PROBLEM_JSON, RETRY_AFTER_S};
+use super::unknown_path::unknown_path;
 use super::visitor::Identified;
 use crate::access::Credential;
 use crate::fleet::{PeerRequest, TOKEN};
-use crate::gripper::model::{Door, Name, Reason, Urgency};
 use crate::interfaces::admission::{Class, ConnectionPermit};
+use crate::model::{Door, Name, Reason, Urgency};
 use crate::operations::fleet::no_answer;
 use crate::operations::json::{parse, text_member};
 use crate::operations::values::text;
 use crate::operations::{
-    Code, DEFAULT_WAIT_MS, MAX_LEASE_BYTES, OPERATIONS, Operation, Problem, QueryString, check, note_use, wait_ms,
+    Code, DEFAULT_WAIT_MS, MAX_LEASE_BYTES, Operation, Problem, QueryString, all, check, note_use, wait_ms,
 };
 
 /// Paths of the grippers of any gateway.
@@ -78,6 +80,11 @@ pub async fn forward(
     let Some((operation, mut path)) = operation(&parts, &target.operation)? else {
         return Ok(not_allowed(&parts, &target.operation));
     };
+    // The parameters are decoded: an operation whose name is percent-encoded would have lost its urgency.
+    let asked: Asked = parts.extensions.get().copied().unwrap_or_default();
+    if !asked.is(operation) {
+        return Err(unknown_path(parts.uri.path()));
+    }
     if context.gateway.peers.is_own(&target.gateway) {
         path.insert("gripper", target.gripper);
         return serve_below(&context, operation, path, &parts, RequestBody::Stream(stream)).await;
@@ -118,13 +125,12 @@ pub async fn forward(
     };
     let asked = if urgency == Urgency::FastStop {
         let reason = |text: &[u8]| Reason::truncated(&text_member(text, "reason").unwrap_or_default());
-        let stop = move |text: Bytes| ask(Map::from_iter([("reason".to_owned(), reason(&text).as_str().into())]));
-        with_reason(stream, permit, stop).await?
+        let stop =
+            async |text: Bytes| ask(Map::from_iter([("reason".to_owned(), reason(&text).as_str().into())])).await;
+        with_reason(stream, permit, stop).await
     } else {
-        let mut params = fields_of(operation, stream, path).await?;
-        if !operation.query.is_empty() {
-            params.extend(QueryString::of(&parts.uri)?.fields(operation.query)?);
-        }
+        let mut params = if operation.changes_something() { Map::new() } else { query(&parts.uri, operation)? };
+        params.extend(fields_of(operation, stream, path).await?);
         ask(params).await
     };
     match asked {
@@ -164,29 +170,21 @@ fn aside(parts: &Parts) -> Vec<(&'static str, String)> {
     HEADER_PARAMS.into_iter().filter_map(given).collect()
 }
 
-pub fn forwarded_urgency(verb: &Verb, path: &str) -> Urgency {
-    let below = path.strip_prefix(API).and_then(|path| path.strip_prefix("/fleet/"));
-    let operation = below.and_then(|below| below.splitn(4, '/').nth(3)).map(|operation| format!("/{operation}"));
-    let of_path = |path: String| {
-        OPERATIONS.iter().find(|operation| operation.verb == verb && parameters_of(operation, &path).is_some())
-    };
-    operation.and_then(of_path).map_or(Urgency::None, |operation| operation.urgency)
-}
-
 /// An operation, and the parameters in its path.
 type Found = (&'static Operation, BTreeMap<&'static str, String>);
 
 /// Finds the operation of a path below a gripper. Returns `None` if the path exists but does not take the method.
 fn operation(parts: &Parts, path: &str) -> Result<Option<Found>, Problem> {
-    let mut of_path =
-        OPERATIONS.iter().filter_map(|operation| Some((operation, parameters_of(operation, path)?))).peekable();
-    of_path.peek().ok_or_else(|| Problem::not_found("such path"))?;
+    let mut of_path = all().filter_map(|operation| Some((operation, parameters_of(operation, path)?))).peekable();
+    of_path.peek().ok_or_else(|| unknown_path(parts.uri.path()))?;
     let verb = if parts.method == Verb::HEAD { &Verb::GET } else { &parts.method };
-    Ok(of_path.find(|(operation, _)| operation.verb == verb))
+    // The path of the newest command is also that of a command with the id `latest`.
+    let of_verb = of_path.filter(|(operation, _)| operation.verb == verb);
+    Ok(of_verb.min_by_key(|(operation, _)| operation.path_parameters().count()))
 }
 
 fn not_allowed(parts: &Parts, path: &str) -> Response {
-    let of_path = OPERATIONS.iter().filter(|operation| parameters_of(operation, path).is_some());
+    let of_path = all().filter(|operation| parameters_of(operation, path).is_some());
     let allowed: Vec<_> = of_path.map(|operation| operation.verb.as_str()).collect();
     let detail = format!("method {} is not allowed here; see the Allow header", parts.method);
     ([(header::ALLOW, allowed.join(","))], Problem::new(Code::MethodNotAllowed, detail)).into_response()
@@ -213,7 +211,7 @@ fn wait(parts: &Parts, operation: &Operation) -> Result<Option<Duration>, Proble
     if !operation.waits {
         return Ok(None);
     }
-    let given = QueryString::of(&parts.uri).and_then(|query| query.one("wait_ms")?.map(wait_ms).transpose());
+    let given = QueryString::of(&parts.uri).one("wait_ms").and_then(|given| given.map(wait_ms).transpose());
     let given = if operation.ignores_mistakes { given.unwrap_or_default() } else { given? };
     Ok(given.or(operation.starts_command.then_some(DEFAULT_WAIT_MS)).map(Duration::from_millis))
 }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use axum::Json;
 use axum::extract::State as Shared;
-use axum::http::{StatusCode, header};
+use axum::http::{Extensions, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use prometheus::{TEXT_FORMAT, TextEncoder};
 use serde::Serialize;
@@ -12,18 +12,22 @@ use utoipa::ToSchema;
 
 use super::context::HttpContext;
 use super::paths::responses::AnyProblem;
+use super::visitor::Identified;
+use crate::access::{FastStopPolicy, Right, Unauthorized};
 use crate::operations::readiness::Readiness;
-use crate::operations::{Code, Problem};
+use crate::operations::{Code, Problem, require};
 
 /// Liveness of the gateway.
 #[derive(Debug, Serialize, ToSchema)]
-#[schema(example = json!({"gateway": "wsg", "status": "ok"}))]
+#[schema(example = json!({"gateway": "wsg", "status": "ok", "fast_stop": "anyone"}))]
 pub struct Health {
     /// The gateway's name.
     #[schema(max_length = 32)]
     gateway: String,
     /// Always `ok`.
     status: &'static str,
+    /// What a FAST STOP needs.
+    fast_stop: FastStopPolicy,
 }
 
 /// Check liveness
@@ -34,25 +38,38 @@ pub struct Health {
     responses((status = 200, description = "The gateway answers", body = Health), AnyProblem)
 )]
 pub async fn health(Shared(context): Shared<Arc<HttpContext>>) -> Json<Health> {
-    Json(Health { gateway: context.gateway.name.to_string(), status: "ok" })
+    let fast_stop = context.gateway.access.fast_stop();
+    Json(Health { gateway: context.gateway.name.to_string(), status: "ok", fast_stop })
 }
 
 /// Check readiness
 ///
 /// The gateway is ready when every gripper's link is connected or released, the journal is writable and undamaged, and
-/// Zenoh listens and is connected at all configured endpoints. A latched FAST STOP does not affect readiness.
+/// Zenoh listens and is connected at all configured endpoints. A latched FAST STOP does not affect readiness. A client
+/// without a credential, such as a load balancer, gets the status and a text instead of the causes.
 #[utoipa::path(
     get, path = "/readyz", operation_id = "readyz", tag = "gateway",
     responses(
-        (status = 200, description = "The gateway is ready", body = Readiness),
-        (status = 503, description = "The gateway is not ready", body = Readiness),
+        (
+            status = 200, description = "The gateway is ready",
+            content((Readiness = "application/json"), (String = "text/plain")),
+        ),
+        (
+            status = 503, description = "The gateway is not ready",
+            content((Readiness = "application/json"), (String = "text/plain")),
+        ),
         AnyProblem,
     )
 )]
-pub async fn readiness(Shared(context): Shared<Arc<HttpContext>>) -> (StatusCode, Json<Readiness>) {
+pub async fn readiness(Shared(context): Shared<Arc<HttpContext>>, extensions: Extensions) -> Result<Response, Problem> {
     let readiness = Readiness::of(&context.gateway);
     let status = if readiness.ready { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
-    (status, Json(readiness))
+    let text = if readiness.ready { "ready\n" } else { "not ready\n" };
+    match Identified::client_of(&context.gateway.access, &extensions).identity {
+        Ok(identity) if require(&identity, Right::Read, None).is_ok() => Ok((status, Json(readiness)).into_response()),
+        Ok(_) | Err(Unauthorized::Missing) => Ok((status, text).into_response()),
+        Err(unknown) => Err(unknown.into()),
+    }
 }
 
 /// Get metrics

@@ -6,8 +6,8 @@ use std::net::{Ipv4Addr, Ipv6Addr};
 
 use axum::extract::Request;
 use axum::http::header::{
-    CACHE_CONTROL, CONTENT_SECURITY_POLICY, DATE, HOST, HeaderName, HeaderValue, ORIGIN, REFERRER_POLICY,
-    X_CONTENT_TYPE_OPTIONS,
+    ALLOW, CACHE_CONTROL, CONTENT_SECURITY_POLICY, DATE, ETAG, HOST, HeaderName, HeaderValue, LINK, LOCATION, ORIGIN,
+    REFERRER_POLICY, RETRY_AFTER, WWW_AUTHENTICATE, X_CONTENT_TYPE_OPTIONS,
 };
 use axum::http::{HeaderMap, Method as Verb, Version};
 use axum::middleware::Next;
@@ -19,9 +19,23 @@ use tower_http::cors::{AllowHeaders, AllowOrigin, CorsLayer};
 
 use super::body;
 use super::operation::Compact;
+use super::origin::{is_same, is_same_authority};
 use super::settings::HttpSettings;
 use crate::gripper::Now;
 use crate::operations::{Code, Problem};
+
+/// Headers of responses that scripts of the listed origins can read, besides those that browsers let them read anyway.
+const READ_BY_PAGES: [HeaderName; 9] = [
+    ALLOW,
+    DATE,
+    ETAG,
+    LINK,
+    LOCATION,
+    RETRY_AFTER,
+    WWW_AUTHENTICATE,
+    HeaderName::from_static("journal-id"),
+    HeaderName::from_static("next-cursor"),
+];
 
 /// Refuses foreign hosts and origins, whatever the method. Any Content-Type is read as JSON, so without this check a
 /// plain form on another site could move a gripper.
@@ -56,6 +70,7 @@ pub async fn apply_cors<F: Future<Output = Response>>(
         .allow_origin(AllowOrigin::exact(origin))
         .allow_methods([Verb::GET, Verb::POST, Verb::PUT, Verb::DELETE])
         .allow_headers(AllowHeaders::mirror_request())
+        .expose_headers(READ_BY_PAGES)
         // No response is cached.
         .vary([]);
     let served = cors.layer(service_fn(|request| serve(request, next.clone()).map(Ok::<_, Infallible>)));
@@ -65,7 +80,7 @@ pub async fn apply_cors<F: Future<Output = Response>>(
 fn check(request: &Request, settings: &HttpSettings) -> Result<(), Problem> {
     let host = authority(request)?;
     match &host {
-        Some(host) if !is_ours(host, &settings.allowed_hosts) => {
+        Some(host) if !is_ours(host, &settings.web.hosts) => {
             let detail = "the Host header names an unknown host: use an IP address or localhost, or add the name to \
                           hosts in the configuration";
             return Err(Problem::new(Code::ForeignHost, detail));
@@ -76,8 +91,8 @@ fn check(request: &Request, settings: &HttpSettings) -> Result<(), Problem> {
         let is_same = |(origin, host)| is_same(origin, host, settings.tls.is_some());
         let same = origin.to_str().ok().zip(host.as_deref()).is_some_and(is_same);
         if !same && !settings.allows_origin(origin) {
-            let detail = "the Origin header names a web page of another origin: only origins in cors_origins can use \
-                          this gateway";
+            let detail = "the Origin header names a web page of another origin than the Host header: list the page's \
+                          origin in cors_origins, or let a proxy pass on the Host header of the browser";
             return Err(Problem::new(Code::ForeignOrigin, detail));
         }
     }
@@ -95,10 +110,13 @@ fn authority(request: &Request) -> Result<Option<String>, Problem> {
         [host] => Some(lower(host).map_err(|_| malformed("the Host header is not valid text"))?),
         _ => return Err(malformed("there is more than one Host header")),
     };
+    let scheme = request.uri().scheme_str().unwrap_or("http");
     // In the absolute form the request's target counts, and the Host header must not differ from it (RFC 9112, 3.2.2).
     let target = request.uri().authority().map(|authority| authority.as_str().to_ascii_lowercase());
     match (header, target) {
-        (Some(header), Some(target)) if header != target => Err(malformed("the Host header differs from the target")),
+        (Some(header), Some(target)) if !is_same_authority(scheme, &header, &target) => {
+            Err(malformed("the Host header differs from the target"))
+        }
         (None, None) if request.version() > Version::HTTP_10 => Err(malformed("the Host header is missing")),
         (header, target) => Ok(header.or(target)),
     }
@@ -126,14 +144,6 @@ pub(super) fn is_ours(authority: &str, allowed: &[String]) -> bool {
 
 fn is_port(text: &str) -> bool {
     text.bytes().all(|byte| byte.is_ascii_digit()) && text.parse::<u16>().is_ok()
-}
-
-/// Whether an origin is the host that the request was sent to. A proxy can add TLS to a gateway without it; a gateway
-/// with TLS has no pages without it.
-fn is_same(origin: &str, host: &str, has_tls: bool) -> bool {
-    let origin = origin.to_ascii_lowercase();
-    let plain = || origin.strip_prefix("http://").filter(|_| !has_tls);
-    origin.strip_prefix("https://").or_else(plain) == Some(host)
 }
 
 /// Policy of responses without their own policy: a browser must not load or run anything.
@@ -167,6 +177,7 @@ mod tests {
     use axum::http;
 
     use super::*;
+    use crate::interfaces::http::WebSettings;
 
     fn answer(version: Version, headers: &[(HeaderName, &str)]) -> Option<u16> {
         let mut request = http::Request::get("/api/v1/grippers").version(version);
@@ -174,10 +185,8 @@ mod tests {
             request = request.header(name, *value);
         }
         let request = request.body(Body::empty()).unwrap();
-        let allowed_hosts = vec!["gateway.example".to_owned()];
-        check(&request, &HttpSettings { allowed_hosts, ..HttpSettings::default() })
-            .err()
-            .map(|problem| problem.status().as_u16())
+        let web = WebSettings { hosts: vec!["gateway.example".to_owned()], ..WebSettings::default() };
+        check(&request, &HttpSettings { web, ..HttpSettings::default() }).err().map(|problem| problem.status().as_u16())
     }
 
     #[test]
@@ -217,12 +226,36 @@ mod tests {
     }
 
     #[test]
+    fn default_port_makes_no_other_origin() {
+        fn from(origin: &str, host: &str) -> Option<u16> {
+            answer(Version::HTTP_11, &[(HOST, host), (ORIGIN, origin)])
+        }
+        for (origin, host) in [
+            ("http://gateway.example", "gateway.example:80"),
+            ("https://gateway.example", "gateway.example:443"),
+            ("https://gateway.example:443", "gateway.example"),
+            ("http://[::1]", "[::1]:80"),
+        ] {
+            assert_eq!(from(origin, host), None, "{origin} to {host}");
+        }
+        for (origin, host) in [
+            ("http://gateway.example", "gateway.example:443"),
+            ("https://gateway.example", "gateway.example:80"),
+            ("http://gateway.example", "gateway.example:8080"),
+            ("http://gateway.example:8080", "gateway.example:80"),
+        ] {
+            assert_eq!(from(origin, host), Some(403), "{origin} to {host}");
+        }
+    }
+
+    #[test]
     fn absolute_target_is_the_host() {
         let request = |uri: &str, host: &str| {
             let request = http::Request::get(uri).header(HOST, host).body(Body::empty()).unwrap();
             check(&request, &HttpSettings::default()).err().map(|problem| problem.status().as_u16())
         };
         assert_eq!(request("http://127.0.0.1/", "127.0.0.1"), None);
+        assert_eq!(request("http://127.0.0.1:80/", "127.0.0.1"), None);
         assert_eq!(request("http://evil.example/", "evil.example"), Some(403));
         assert_eq!(request("http://evil.example/", "127.0.0.1"), Some(400));
     }

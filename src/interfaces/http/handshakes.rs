@@ -1,7 +1,7 @@
 //! Turns of TLS handshakes, so that a flood of them from one address leaves processor time for others.
 //!
-//! A handshake takes as much processor time as many requests. Few handshakes of one address run at the same time. Of those
-//! that wait, a random one is next: with the oldest or the newest first, a flood could keep out a certain one.
+//! A handshake takes as much processor time as many requests. Few handshakes of one address run at the same time. A
+//! random one of those that wait is next: with the oldest or the newest first, a flood could keep out a certain one.
 
 use std::collections::HashMap;
 use std::net::IpAddr;

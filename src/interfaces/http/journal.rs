@@ -7,7 +7,7 @@ use axum::extract::{Path, State as Shared};
 use axum::http::{HeaderMap, Uri, header};
 use axum::response::{IntoResponse, Response};
 use headers_accept::Accept;
-use mediatype::{MediaType, names};
+use mediatype::{MediaType, MediaTypeList, ReadParams as _, names};
 use serde::{Deserialize, Serialize};
 use url::form_urlencoded;
 use utoipa::{IntoParams, ToSchema};
@@ -16,8 +16,8 @@ use uuid::Uuid;
 use super::context::{API, HttpContext};
 use super::paths::CommandPath;
 use super::paths::responses::JournalProblem;
-use crate::gripper::model::{CommandId, Sample};
 use crate::journal::{EventKind, Page, csv};
+use crate::model::{CommandId, Sample};
 use crate::operations::Problem;
 use crate::operations::records::{EventPage, GripBody, GripKinds, GripPage, RecordList, next_cursor};
 
@@ -39,7 +39,7 @@ pub struct RecordsQuery {
     #[param(max_length = 48, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$", example = "47")]
     part_prefix: Option<String>,
     /// Only records with this outcome.
-    outcome: Option<crate::gripper::model::Outcome>,
+    outcome: Option<crate::model::Outcome>,
     /// Only records from this time on.
     #[param(value_type = Option<String>, format = DateTime, example = "2026-11-21T09:00:00Z")]
     from: Option<String>,
@@ -118,10 +118,17 @@ pub struct Curve {
 const OFFERED: [MediaType<'static>; 2] =
     [MediaType::new(names::APPLICATION, names::JSON), MediaType::new(names::TEXT, names::CSV)];
 
-/// Whether a client prefers CSV to JSON (RFC 9110 12.5.1). An invalid Accept header is ignored.
+/// Whether a client prefers CSV to JSON (RFC 9110 12.5.1). Only types and their weights count, because a client may name
+/// further parameters, such as a `charset`. An invalid Accept header is ignored.
 fn wants_csv(headers: &HeaderMap) -> bool {
     let values = headers.get_all(header::ACCEPT).iter().filter_map(|value| value.to_str().ok());
-    let accepted = values.collect::<Vec<_>>().join(",").parse::<Accept>();
+    let values = values.collect::<Vec<_>>().join(",");
+    let ranges = MediaTypeList::new(&values).filter_map(Result::ok);
+    let weighted = ranges.map(|range| match range.get_param(names::Q) {
+        Some(weight) => format!("{};q={weight}", range.essence()),
+        None => range.essence().to_string(),
+    });
+    let accepted = weighted.collect::<Vec<_>>().join(",").parse::<Accept>();
     accepted.is_ok_and(|accepted| accepted.negotiate(&OFFERED) == Some(&OFFERED[1]))
 }
 

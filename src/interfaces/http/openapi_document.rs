@@ -1,11 +1,17 @@
 //! The OpenAPI document that clients get: the declarations of the handlers, completed and adapted to code generators.
 
+use std::collections::{BTreeMap, BTreeSet};
+use std::iter;
+
 use serde_json::{Map, Value, json};
 use utoipa::openapi::OpenApi;
 
 use super::context::API;
 use super::flatten::flatten;
-use super::paths::responses::FORWARDED;
+use super::meanings;
+use super::paths;
+use super::paths::parameters::in_path;
+use super::paths::responses::{FORWARDED, references};
 
 /// Paths of a gripper of this gateway, and of any gateway.
 const OWN: &str = "/grippers/{gripper}";
@@ -14,11 +20,76 @@ const FORWARDED_TO: &str = "/fleet/{gateway}/grippers/{gripper}";
 /// Completes a document.
 pub fn completed(document: &OpenApi) -> Value {
     let mut document = serde_json::to_value(document).unwrap_or_default();
+    paths::describe(&mut document);
+    describe_in_place(&mut document);
+    allow_null_fields(&mut document);
     add_forwarded(&mut document);
+    share_parameters(&mut document);
     flatten(&mut document);
-    let schemas = document["components"]["schemas"].as_object_mut();
-    schemas.into_iter().flat_map(Map::values_mut).for_each(describe_values);
+    for (name, meanings) in meanings::all() {
+        if let Some(schema) = document["components"]["schemas"].get_mut(name) {
+            meanings::describe(schema, &meanings);
+        }
+    }
     document
+}
+
+/// Describes the types of single values where they are used. Their names end in `Field`.
+fn describe_in_place(document: &mut Value) {
+    let Some(schemas) = document["components"]["schemas"].as_object_mut() else { return };
+    let mut fields = Map::new();
+    schemas.retain(|name, schema| {
+        let is_field = name.ends_with("Field");
+        if is_field {
+            fields.insert(name.clone(), schema.clone());
+        }
+        !is_field
+    });
+    let properties = schemas.values_mut().filter_map(|schema| schema.get_mut("properties")?.as_object_mut());
+    for property in properties.flat_map(Map::values_mut) {
+        // An optional field is described as a reference or null.
+        let alternatives = property.get("oneOf").and_then(Value::as_array).cloned().unwrap_or_default();
+        let used = alternatives.iter().chain([&*property]).find_map(|one| {
+            let name = one.get("$ref")?.as_str()?.rsplit('/').next()?;
+            Some((fields.get(name)?.clone(), one.get("description").cloned()))
+        });
+        if let Some((mut schema, description)) = used {
+            if let Some(description) = description {
+                schema["description"] = description;
+            }
+            *property = schema;
+        }
+    }
+}
+
+/// Lets each optional field of a request be `null`, as the parser of requests does.
+fn allow_null_fields(document: &mut Value) {
+    let paths = document["paths"].as_object().into_iter().flat_map(Map::values);
+    let operations = paths.filter_map(Value::as_object).flat_map(Map::values);
+    let schemas = operations.map(|operation| &operation["requestBody"]["content"]["application/json"]["schema"]);
+    let references = schemas.filter_map(|schema| schema["$ref"].as_str()?.strip_prefix("#/components/schemas/"));
+    let names: BTreeSet<_> = references.map(str::to_owned).collect();
+    for name in names {
+        let schema = &mut document["components"]["schemas"][name];
+        let required = schema["required"].as_array().cloned().unwrap_or_default();
+        let Some(fields) = schema["properties"].as_object_mut() else { continue };
+        for (_, field) in fields.iter_mut().filter(|(name, _)| !required.contains(&name.as_str().into())) {
+            allow_null(field);
+        }
+    }
+}
+
+fn allow_null(field: &mut Value) {
+    if let Some(kind) = field["type"].as_str() {
+        field["type"] = json!([kind, "null"]);
+    } else if field.get("$ref").is_some() {
+        let mut value = field.take();
+        let default = value.as_object_mut().and_then(|value| value.remove("default"));
+        *field = json!({"oneOf": [value, {"type": "null"}]});
+        if let Some(default) = default {
+            field["default"] = default;
+        }
+    }
 }
 
 /// Adds the operations of a gripper a second time, below the name of the gateway that owns the gripper.
@@ -42,34 +113,38 @@ fn forward(operation: &mut Value) {
     );
     (operation["summary"], operation["description"]) = (format!("{summary} (fleet)").into(), description.into());
     (operation["operationId"], operation["tags"]) = (format!("{id}_in_fleet").into(), json!(["fleet"]));
-    let gateway = json!({
-        "name": "gateway", "in": "path", "required": true, "example": "gateway",
-        "description": "Name of the gateway that owns the gripper.",
-        "schema": {"type": "string", "minLength": 1, "maxLength": 32, "pattern": "^[a-z0-9][a-z0-9_-]{0,31}$"},
-    });
-    if let Some(parameters) = operation["parameters"].as_array_mut() {
-        parameters.insert(0, gateway);
+    if let Some(parameters) = operation.get_mut("parameters").and_then(Value::as_array_mut) {
+        parameters.insert(0, in_path("gateway"));
     }
     if let Some(responses) = operation["responses"].as_object_mut() {
-        for (status, name) in FORWARDED {
-            responses.entry(*status).or_insert_with(|| json!({"$ref": format!("#/components/responses/{name}")}));
+        for (status, problem) in references(FORWARDED) {
+            responses.entry(status).or_insert(problem);
         }
     }
 }
 
-/// Copies the description of each value of an enumeration into the extensions that code generators read.
-fn describe_values(schema: &mut Value) {
-    let (Some(values), Some(text)) = (schema["enum"].as_array(), schema["description"].as_str()) else { return };
-    let described = |value: &Value| {
-        let begin = format!("- `{}`: ", value.as_str()?);
-        let rest = text.split_once(&begin)?.1;
-        let lines = rest.split("\n- ").next()?.split("\n\n").next()?;
-        Some(lines.split_whitespace().collect::<Vec<_>>().join(" "))
-    };
-    let Some(texts) = values.iter().map(described).collect::<Option<Vec<_>>>() else { return };
-    let by_value =
-        values.iter().filter_map(Value::as_str).map(str::to_owned).zip(texts.iter().cloned().map(Value::from));
-    let by_value: Map<_, _> = by_value.collect();
-    schema["x-enumDescriptions"] = Value::Object(by_value);
-    schema["x-enum-descriptions"] = json!(texts);
+/// Moves parameters that several operations have to the components.
+fn share_parameters(document: &mut Value) {
+    let mut counts: BTreeMap<String, usize> = BTreeMap::new();
+    for parameter in parameters(&mut document["paths"]) {
+        *counts.entry(parameter.to_string()).or_default() += 1;
+    }
+    let mut shared = Map::new();
+    for parameter in parameters(&mut document["paths"]) {
+        if counts.get(&parameter.to_string()).is_some_and(|count| *count > 1) {
+            let [place, name] = ["in", "name"].map(|key| parameter[key].as_str().unwrap_or_default());
+            let place = format!("{place}.{name}");
+            // Parameters of one name can differ, such as the waits of reads and of commands.
+            let mut names = iter::once(place.clone()).chain((2..).map(|number| format!("{place}.{number}")));
+            let name = names.find(|name| shared.get(name).is_none_or(|other| other == parameter)).unwrap_or(place);
+            let reference = json!({"$ref": format!("#/components/parameters/{name}")});
+            shared.insert(name, std::mem::replace(parameter, reference));
+        }
+    }
+    document["components"]["parameters"] = Value::Object(shared);
+}
+
+fn parameters(paths: &mut Value) -> impl Iterator<Item = &mut Value> {
+    let items = paths.as_object_mut().into_iter().flat_map(Map::values_mut).filter_map(Value::as_object_mut);
+    items.flat_map(Map::values_mut).filter_map(|operation| operation.get_mut("parameters")?.as_array_mut()).flatten()
 }

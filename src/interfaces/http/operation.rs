@@ -7,7 +7,7 @@ use axum::RequestPartsExt as _;
 use axum::body::Body;
 use axum::extract::{RawPathParams, Request};
 use axum::http::request::Parts;
-use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
+use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use serde_json::{Map, Value};
 
@@ -16,7 +16,7 @@ use super::context::{API, HttpContext};
 use super::fast_stop::with_reason;
 use super::visitor::Identified;
 use super::wait::ConnectionWaits;
-use crate::gripper::model::{Door, LeaseToken, Text, Urgency};
+use crate::model::{Door, LeaseToken, Text, Urgency};
 use crate::operations::values::text;
 use crate::operations::{
     Caller, Effect, Fields, MAX_LEASE_BYTES, Operation, OperationReply, Params, Presence, Problem, QueryString, Wait,
@@ -65,10 +65,10 @@ pub async fn serve_below(
     let reply = match body {
         RequestBody::Stream(stream) if operation.ignores_mistakes => {
             let permit = parts.extensions.get().filter(|_| operation.urgency == Urgency::FastStop).cloned();
-            with_reason(stream, permit, move |text| run(Fields::Text(text))).await??
+            with_reason(stream, permit, async |text| run(Fields::Text(text)).await).await?
         }
         // The body of a GET has no meaning (RFC 9110, 9.3.1).
-        _ if *operation.verb == Method::GET => run(Fields::Object(query(parts, operation)?)).await?,
+        _ if *operation.verb == Method::GET => run(Fields::Object(query(&parts.uri, operation)?)).await?,
         RequestBody::Stream(stream) => run(Fields::Text(body::bytes(stream).await?)).await?,
         RequestBody::Parsed(fields) => run(fields).await?,
     };
@@ -81,9 +81,13 @@ pub async fn serve_below(
 
 /// Returns the fields that a read has in its query string. An operation with filters gets all, since a misspelt one would
 /// have no effect, and refuses those that it does not know.
-fn query(parts: &Parts, operation: &Operation) -> Result<Map<String, Value>, Problem> {
-    let given = QueryString::of(&parts.uri)?;
-    if operation.query.is_empty() || operation.waits { given.fields(operation.query) } else { given.all() }
+pub fn query(uri: &Uri, operation: &Operation) -> Result<Map<String, Value>, Problem> {
+    if uri.query().is_none() {
+        return Ok(Map::new());
+    }
+    let given = QueryString::of(uri);
+    let known = operation.field_names();
+    if known.is_empty() || operation.waits { given.fields(&known) } else { given.all() }
 }
 
 /// Returns the path's parameters. A path that is not valid text is not found.
@@ -99,7 +103,7 @@ async fn path(parts: &mut Parts, operation: &Operation) -> Result<BTreeMap<&'sta
 
 fn caller(identified: &Identified, parts: &Parts, operation: &Operation) -> Result<Caller, Problem> {
     let wait = if operation.waits {
-        let given = QueryString::of(&parts.uri).and_then(|query| Ok(query.one("wait_ms")?.map(ToOwned::to_owned)));
+        let given = QueryString::of(&parts.uri).one("wait_ms").map(|given| given.map(ToOwned::to_owned));
         let given = if operation.ignores_mistakes { given.unwrap_or_default() } else { given? };
         Wait::Ms { given, limiter: ConnectionWaits::of(&parts.extensions) }
     } else {
@@ -138,12 +142,23 @@ fn expected(headers: &HeaderMap) -> Result<ExpectedVersion, Problem> {
             Err(Problem::malformed("If-Match", "If-Match must be * or one ETag: a change replaces one version"))
         }
         (Some(tag), None) => {
-            let version = tag.as_str().strip_prefix('"').and_then(|tag| tag.strip_suffix('"')?.parse().ok());
-            // A tag that is not this gateway's, or a weak one, matches nothing (RFC 9110 13.1.1). No version is 0.
-            Ok(ExpectedVersion::Exactly(version.unwrap_or_default()))
+            // A tag that is not this gateway's matches nothing (RFC 9110 13.1.1). No version is 0.
+            Ok(ExpectedVersion::Exactly(tagged_version(tag.as_str()).unwrap_or_default()))
         }
         _ => Err(Problem::malformed("If-None-Match", "If-None-Match must be *, without If-Match")),
     }
+}
+
+/// Encodings whose names proxies append to the ETag of a response that they compress.
+const TAGGED_ENCODINGS: [&str; 4] = ["-gzip", "-br", "-zstd", "-deflate"];
+
+/// Returns the version in an ETag. A proxy that compresses a response marks its ETag, as weak or with the name of the
+/// encoding, although the version is the same: so the versions are compared, and not the tags byte by byte.
+fn tagged_version(tag: &str) -> Option<u64> {
+    let quoted = tag.strip_prefix("W/").unwrap_or(tag);
+    let version = quoted.strip_prefix('"')?.strip_suffix('"')?;
+    let marked = TAGGED_ENCODINGS.iter().find_map(|encoding| version.strip_suffix(encoding));
+    marked.unwrap_or(version).parse().ok()
 }
 
 fn key<const MAX: usize>(headers: &HeaderMap, name: &'static str) -> Result<Option<Text<MAX>>, Problem> {
@@ -213,6 +228,16 @@ mod tests {
         assert_eq!(refused(&[("Idempotency-Key", &"x".repeat(65))]), 422);
         assert_eq!(refused(&[("Idempotency-Key", "a\tb")]), 400);
         assert_eq!(refused(&[("Idempotency-Key", "a"), ("Idempotency-Key", "b")]), 400);
+    }
+
+    #[test]
+    fn version_survives_a_proxy_that_compresses() {
+        for tag in ["\"12\"", "W/\"12\"", "\"12-gzip\"", "W/\"12-br\"", "\"12-zstd\""] {
+            assert_eq!(tagged_version(tag), Some(12), "{tag}");
+        }
+        for tag in ["12", "w/\"12\"", "W/12", "\"12", "\"12-x\"", "\"-gzip\"", "\"a\"", "\"\""] {
+            assert_eq!(tagged_version(tag), None, "{tag}");
+        }
     }
 
     #[test]

@@ -31,6 +31,9 @@ impl IntoResponse for Problem {
         headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(PROBLEM_JSON));
         match self.code() {
             Code::Overloaded => drop(headers.insert(header::RETRY_AFTER, RETRY_AFTER_S)),
+            Code::UnsupportedEncoding => {
+                drop(headers.insert(header::ACCEPT_ENCODING, HeaderValue::from_static("identity")));
+            }
             Code::Unauthorized => drop(headers.insert(header::WWW_AUTHENTICATE, BEARER)),
             _ => {}
         }

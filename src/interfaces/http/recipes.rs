@@ -13,8 +13,8 @@ use super::context::HttpContext;
 use super::journal::CSV;
 use super::operation::{RequestBody, serve_below};
 use super::paths::responses::{JournalProblem, RecipeProblem};
-use crate::gripper::model::Recipe;
 use crate::journal::csv::{original, table};
+use crate::model::{Recipe, without_byte_order_mark};
 use crate::operations::recipes::{MAX_RECIPES, RecipeList, SET_SEVERAL};
 use crate::operations::values::shortened;
 use crate::operations::{Fields, Problem};
@@ -57,7 +57,8 @@ pub async fn get_csv(Shared(context): Shared<Arc<HttpContext>>) -> Response {
 ///
 /// Sets the recipes of a table with the columns of `GET /recipes.csv`: all of them, or none if one is refused. Each
 /// recipe is replaced as a whole, so that an absent column or an empty cell clears the value. Recipes of other parts stay
-/// as they are. Only `part_id` and `number` are required.
+/// as they are. Only `part_id` and `number` are required. Cells are separated by commas, or by semicolons: a number can
+/// then have a decimal comma.
 #[utoipa::path(
     put, path = "/recipes.csv", operation_id = "set_recipes_csv", tag = "recipes",
     request_body(content = String, content_type = "text/csv"),
@@ -87,13 +88,15 @@ fn rows(recipe: &Recipe) -> Vec<Map<String, Value>> {
 
 /// Parses a table to the recipes of a request, in the order of their first rows.
 fn parse(table: &[u8]) -> Result<Vec<Map<String, Value>>, Problem> {
-    let table = table.strip_prefix("\u{FEFF}".as_bytes()).unwrap_or(table);
-    let mut reader = csv::Reader::from_reader(table);
-    let invalid = |error: csv::Error| Problem::malformed("body", format!("invalid CSV: {error}"));
-    let columns = reader.headers().map_err(invalid)?.clone();
+    let table = TableText::of(table)?;
+    let mut lines = Lines { text: &table.text, counted: 0, line: 1 };
+    let mut reader = csv::ReaderBuilder::new().delimiter(table.separator).from_reader(table.text.as_bytes());
+    let columns = reader.headers().map_err(|error| invalid(&error, &mut lines))?.clone();
     if let Some(unknown) = columns.iter().find(|column| !COLUMNS.contains(column)) {
         let unknown = shortened(unknown);
-        return Err(Problem::malformed(&unknown, format!("unknown column {unknown:?}; known: {}", COLUMNS.join(", "))));
+        let detail =
+            format!("unknown column {unknown:?}; known, separated by commas or semicolons: {}", COLUMNS.join(", "));
+        return Err(Problem::malformed(&unknown, detail));
     }
     let is_repeated = |column: &&str| columns.iter().filter(|other| other == column).count() > 1;
     if let Some(repeated) = columns.iter().find(is_repeated) {
@@ -101,14 +104,15 @@ fn parse(table: &[u8]) -> Result<Vec<Map<String, Value>>, Problem> {
     }
     let mut recipes: Vec<Map<String, Value>> = Vec::new();
     for record in reader.records() {
-        let record = record.map_err(invalid)?;
+        let record = record.map_err(|error| invalid(&error, &mut lines))?;
         if record.iter().all(str::is_empty) {
             // Spreadsheets leave such lines at the end.
             continue;
         }
-        let line = record.position().map_or(0, csv::Position::line);
+        let line = lines.at(record.position());
         let given = columns.iter().zip(&record).filter(|(_, cell)| !cell.is_empty());
-        let mut fields = given.map(|(column, cell)| field(column, cell, line)).collect::<Result<Map<_, _>, _>>()?;
+        let parsed = given.map(|(column, cell)| table.field(column, cell, line));
+        let mut fields = parsed.collect::<Result<Map<_, _>, _>>()?;
         let Some(gripper) = fields.remove(GRIPPER) else {
             recipes.push(fields);
             if recipes.len() > MAX_RECIPES {
@@ -144,16 +148,83 @@ fn is_of_gripper(column: &str) -> bool {
     !["number", "description"].contains(&column)
 }
 
-fn field(column: &str, cell: &str, line: u64) -> Result<(String, Value), Problem> {
-    if TEXTS.contains(&column) {
-        return Ok((column.to_owned(), original(cell).into()));
-    }
-    let wrong = || {
-        let detail = format!("line {line}: {column} must be a number, with a decimal point and no comma");
-        Problem::malformed(column, detail).value(Some(cell.into()))
+/// Describes what is wrong with a table.
+fn invalid(error: &csv::Error, lines: &mut Lines) -> Problem {
+    let detail = match error.kind() {
+        csv::ErrorKind::UnequalLengths { pos, expected_len, len } => {
+            format!("line {}: {len} cells instead of {expected_len}", lines.at(pos.as_ref()))
+        }
+        _ => format!("invalid CSV: {error}"),
     };
-    let number: f64 = cell.trim().parse().map_err(|_| wrong())?;
-    Ok((column.to_owned(), serde_json::Number::from_f64(number).ok_or_else(wrong)?.into()))
+    Problem::malformed("body", detail)
+}
+
+/// Ends all lines of a text with LF: spreadsheets end them with CR LF, some with CR.
+fn with_line_feeds(text: &str) -> String {
+    text.replace("\r\n", "\n").replace('\r', "\n")
+}
+
+/// A table as a spreadsheet saves it.
+struct TableText {
+    /// The text, whose lines end with LF.
+    text: String,
+    /// A comma, or a semicolon where the comma is the decimal sign.
+    separator: u8,
+}
+
+impl TableText {
+    fn of(table: &[u8]) -> Result<Self, Problem> {
+        let table = without_byte_order_mark(table);
+        let text = match std::str::from_utf8(table) {
+            Ok(text) => with_line_feeds(text),
+            Err(error) => {
+                let before = std::str::from_utf8(&table[..error.valid_up_to()]).unwrap_or_default();
+                let line = with_line_feeds(before).matches('\n').count() + 1;
+                let detail = format!("line {line} is not valid UTF-8: save the table as \"CSV UTF-8\"");
+                return Err(Problem::malformed("body", detail));
+            }
+        };
+        let columns = text.lines().find(|line| !line.is_empty()).unwrap_or_default();
+        let separator = if columns.contains(';') && !columns.contains(',') { b';' } else { b',' };
+        Ok(Self { text, separator })
+    }
+
+    fn field(&self, column: &str, cell: &str, line: u64) -> Result<(String, Value), Problem> {
+        if TEXTS.contains(&column) {
+            return Ok((column.to_owned(), original(cell).into()));
+        }
+        let has_decimal_commas = self.separator == b';';
+        let number = if has_decimal_commas { cell.replace(',', ".") } else { cell.to_owned() };
+        let number = number.trim().parse().ok().and_then(serde_json::Number::from_f64);
+        let Some(number) = number else {
+            let form = if has_decimal_commas { "" } else { ", with a decimal point and no comma" };
+            let detail = format!("line {line}: {column} must be a number{form}");
+            return Err(Problem::malformed(column, detail).value(Some(cell.into())));
+        };
+        Ok((column.to_owned(), number.into()))
+    }
+}
+
+/// Counts the lines of a text. The reader's own count takes a blank line for that of the record behind it.
+struct Lines<'a> {
+    text: &'a str,
+    counted: usize,
+    /// Number of the line at `counted`.
+    line: u64,
+}
+
+impl Lines<'_> {
+    /// Returns the line of a record, which is not before the last one asked for.
+    fn at(&mut self, position: Option<&csv::Position>) -> u64 {
+        let start = position.and_then(|position| usize::try_from(position.byte()).ok()).unwrap_or_default();
+        while let Some(byte) = self.text.as_bytes().get(self.counted)
+            && (self.counted < start || *byte == b'\n')
+        {
+            self.line += u64::from(*byte == b'\n');
+            self.counted += 1;
+        }
+        self.line
+    }
 }
 
 #[cfg(test)]
@@ -188,6 +259,33 @@ mod tests {
         assert_eq!(refused("part_id,part_id\nA,B\n")["field"], "part_id");
         assert_eq!(refused("part_id,number,gripper\nA,1,\nA,1,right\n")["field"], "number");
         assert_eq!(refused("part_id,number,gripper\nA,1,\nA,,right\nA,,right\n")["field"], "gripper");
-        assert!(refused("part_id,number\nA\n")["detail"].as_str().unwrap().contains("line: 2"));
+        assert_eq!(refused("part_id,number\nA\n")["detail"], "line 2: 1 cells instead of 2");
+        let tabs = refused("part_id\tnumber\nA\t1\n");
+        assert!(tabs["detail"].as_str().unwrap().contains("separated by commas or semicolons"), "{tabs}");
+    }
+
+    /// Returns the line that the problem of a table names.
+    fn line(table: &[u8]) -> String {
+        let detail = parse(table).unwrap_err().detail().to_owned();
+        detail.split([' ', ':']).nth(1).unwrap().to_owned()
+    }
+
+    #[test]
+    fn line_of_a_mistake_is_that_of_an_editor() {
+        for end in ["\n", "\r\n", "\r"] {
+            let lines = ["part_id,number", "", "A,1", "B,2", ","].join(end);
+            assert_eq!(line(format!("{lines}{end}C,x").as_bytes()), "6", "{end:?}");
+            assert_eq!(line(format!("{lines}{end}C").as_bytes()), "6", "{end:?}");
+            assert_eq!(line(&[lines.as_bytes(), end.as_bytes(), b"M\xFCller,5"].concat()), "6", "{end:?}");
+        }
+    }
+
+    #[test]
+    fn table_with_semicolons_has_decimal_commas() {
+        let table = "part_id;number;gripper;width_mm;force_n;description\r\n\
+                     A-1047;12;;20,0;40;'=ring, left\r\n7;13;;30;;\r\nA-1047;;right;;30,5;\r\n";
+        assert_eq!(parse(table.as_bytes()).unwrap(), parse(TABLE.as_bytes()).unwrap());
+        let refused = parse(b"part_id;number\nA;1.2,5\n").unwrap_err();
+        assert_eq!(refused.detail(), "line 2: number must be a number");
     }
 }

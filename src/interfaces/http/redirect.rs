@@ -18,9 +18,10 @@ use super::settings::HttpSettings;
 const MAX_HEADER_BYTES: usize = 8192;
 
 /// Answers one request. Only reads are redirected: a client that sends its token with a change must not get used to
-/// sending it in the clear.
+/// sending it in the clear. The redirection is temporary, since a browser keeps a permanent one even after TLS has been
+/// switched off.
 pub async fn answer(stream: TcpStream, settings: Arc<HttpSettings>) {
-    let service = service_fn(async |request| Ok::<_, Infallible>(response(&request, &settings.allowed_hosts)));
+    let service = service_fn(async |request| Ok::<_, Infallible>(response(&request, &settings.web.hosts)));
     let mut http = http1::Builder::new();
     let http = http.timer(TokioTimer::new()).max_buf_size(MAX_HEADER_BYTES);
     if let Err(error) = http.serve_connection(TokioIo::new(stream), service).await {
@@ -36,7 +37,7 @@ fn response(request: &Request<Incoming>, allowed_hosts: &[String]) -> Response<S
     let path = request.uri().path_and_query().map_or("/", |path| path.as_str());
     let location = host.filter(|_| matches!(*request.method(), Method::GET | Method::HEAD));
     if let Some(Ok(location)) = location.map(|host| HeaderValue::try_from(format!("https://{host}{path}"))) {
-        *response.status_mut() = StatusCode::PERMANENT_REDIRECT;
+        *response.status_mut() = StatusCode::TEMPORARY_REDIRECT;
         response.headers_mut().insert(LOCATION, location);
     }
     response.headers_mut().insert(CONNECTION, HeaderValue::from_static("close"));

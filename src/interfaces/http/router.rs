@@ -8,12 +8,12 @@
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 
-use axum::extract::{Request, State};
+use axum::extract::{OriginalUri, Request, State};
 use axum::http::Method as Verb;
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
-use axum::routing::{any, post};
-use axum::{Extension, Router, middleware};
+use axum::routing::any;
+use axum::{Router, middleware};
 use futures_util::FutureExt as _;
 use serde_json::Value;
 use tokio::sync::Semaphore;
@@ -22,9 +22,10 @@ use utoipa_axum::routes;
 
 use super::context::{API, HttpContext};
 use super::openapi_document::completed;
+use super::unknown_path::unknown_path;
 use super::{
     access_log, audit, docs, fleet_lists, forward, gateway, guard, guide, journal, large, paths, recipes, rights,
-    session, stream, turn, upgrade,
+    session, stream, tickets, turn, upgrade,
 };
 use crate::interfaces::dashboard;
 use crate::operations::{Code, Problem};
@@ -59,7 +60,7 @@ async fn admitted(context: &HttpContext, request: Request, next: Next) -> Respon
     .await
 }
 
-/// Returns the OpenAPI document of the router.
+/// Makes the OpenAPI document anew. [`OPENAPI`](super::OPENAPI) is the checked-in one.
 #[must_use]
 pub fn openapi() -> Value {
     completed(&routes().into_openapi())
@@ -102,85 +103,25 @@ fn journal() -> Routes {
 }
 
 fn documents() -> Routes {
-    OpenApiRouter::new()
-        .routes(routes!(docs::openapi))
-        .routes(routes!(docs::asyncapi))
-        .layer(Extension(Arc::new(docs::Documents::new(openapi))))
+    OpenApiRouter::new().routes(routes!(docs::openapi)).routes(routes!(docs::asyncapi))
 }
 
 fn api() -> Routes {
-    OpenApiRouter::new()
+    OpenApiRouter::from(paths::routes())
         .merge(documents())
         .merge(journal())
-        .routes(routes!(paths::grippers::list))
-        .routes(routes!(paths::grippers::info))
-        .routes(routes!(paths::grippers::state))
-        .routes(routes!(paths::grippers::status))
-        .routes(routes!(paths::grippers::trend))
-        .routes(routes!(paths::motion::home))
-        .routes(routes!(paths::motion::move_fingers))
-        .routes(routes!(paths::motion::grip))
-        .routes(routes!(paths::motion::release))
-        .routes(routes!(paths::motion::stop))
-        .routes(routes!(paths::fast_stop::acknowledge))
-        .routes(routes!(paths::commands::latest))
-        .routes(routes!(paths::commands::get))
-        .routes(routes!(paths::commands::cancel))
-        .routes(routes!(paths::settings::get_acceleration, paths::settings::set_acceleration))
-        .routes(routes!(paths::settings::get_force_limit, paths::settings::set_force_limit))
-        .routes(routes!(
-            paths::settings::get_soft_limits,
-            paths::settings::set_soft_limits,
-            paths::settings::clear_soft_limits
-        ))
-        .routes(routes!(paths::settings::get_overdrive, paths::settings::set_overdrive))
-        .routes(routes!(paths::settings::get_tag, paths::settings::set_tag))
-        .routes(routes!(paths::device::statistics))
-        .routes(routes!(paths::device::reset_statistics))
-        .routes(routes!(paths::finger_set::get, paths::finger_set::set))
-        .routes(routes!(paths::fingers::one))
-        .routes(routes!(paths::fingers::data))
-        .routes(routes!(paths::fingers::power))
-        .routes(routes!(paths::device::tare))
-        .routes(routes!(paths::device::loop_back))
-        .routes(routes!(paths::raw::raw))
-        .routes(routes!(paths::connection::disconnect))
-        .routes(routes!(paths::connection::connect))
-        .routes(routes!(paths::lease::get, paths::lease::take, paths::lease::renew, paths::lease::release))
-        .routes(routes!(paths::lease::hand_over))
         .routes(routes!(stream::stream))
         .routes(routes!(upgrade::open))
-        .routes(routes!(paths::fleet::list))
-        .routes(routes!(paths::alarms::list))
-        .routes(routes!(paths::alarms::acknowledge))
-        .routes(routes!(paths::statistics::of_grips))
-        .routes(routes!(paths::recipes::list, paths::recipes::set_several))
-        .routes(routes!(paths::recipes::get, paths::recipes::set, paths::recipes::remove))
-        .routes(routes!(paths::recipes::versions))
         .routes(routes!(recipes::get_csv, recipes::set_csv))
-        .routes(routes!(paths::recipes::teach))
-        .routes(routes!(paths::clock::clock))
-        .routes(routes!(paths::me::me))
-        .routes(routes!(paths::reload::reload))
         .routes(routes!(session::sign_in, session::sign_out))
         .routes(routes!(session::enter_pin, session::forget_pin))
-        .routes(routes!(paths::webhooks::list))
-        .routes(routes!(paths::webhooks::test))
-        .routes(routes!(paths::fast_stop::one))
-        .routes(routes!(paths::fast_stop::all))
-        .routes(routes!(paths::fleet::fast_stop))
-        .routes(routes!(paths::fleet::acknowledge))
-        .routes(routes!(paths::fleet::copy_recipes))
-        // A FAST STOP with a trailing slash is accepted.
-        .route("/grippers/{gripper}/fast-stop/", post(paths::fast_stop::one))
-        .route("/fast-stop/", post(paths::fast_stop::all))
-        .route("/fleet/fast-stop/", post(paths::fleet::fast_stop))
+        .routes(routes!(tickets::issue))
         .route(forward::PATHS[0], any(forward::forward))
         .route(forward::PATHS[1], any(forward::forward))
 }
 
-async fn not_found() -> Problem {
-    Problem::not_found("such path")
+async fn not_found(OriginalUri(uri): OriginalUri) -> Problem {
+    unknown_path(uri.path())
 }
 
 async fn method_not_allowed(method: Verb) -> Problem {

@@ -127,13 +127,14 @@ fn secret<T: DeserializeOwned>(text: &[u8]) -> Result<T, Problem> {
 
 /// Returns the session that a request names. Pages of other origins have none.
 fn open_session(context: &HttpContext, request: &Request) -> Option<SessionId> {
-    session(request.headers(), accepted_cookie(request.headers(), &context.settings.get())?)
+    session(request.headers(), &accepted_cookie(request.headers(), &context.settings.get())?)
 }
 
 /// Returns the cookie of a session, or one that deletes it. No script can read it, and no other site can send it.
 fn cookie(context: &HttpContext, id: Option<&SessionId>) -> Result<HeaderValue, Problem> {
-    let has_tls = context.settings.get().tls.is_some();
-    let (name, secure) = (cookie_name(has_tls), if has_tls { "; Secure" } else { "" });
+    let settings = context.settings.get();
+    let name = cookie_name(&settings);
+    let secure = if settings.tls.is_some() { "; Secure" } else { "" };
     let end = if id.is_some() { "" } else { "; Max-Age=0" };
     let id = id.map_or("", SessionId::expose);
     let cookie = format!("{name}={id}; Path=/; HttpOnly; SameSite=Strict{secure}{end}");

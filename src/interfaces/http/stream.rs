@@ -6,9 +6,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::extract::State as Shared;
-use axum::http::{Extensions, HeaderMap, Uri};
-use axum::response::Sse;
+use axum::http::{Extensions, HeaderMap, HeaderName, HeaderValue, Uri};
 use axum::response::sse::{self, KeepAlive};
+use axum::response::{IntoResponse, Sse};
 use futures_util::stream::unfold;
 use tokio::time::{Interval, MissedTickBehavior};
 use tokio_util::sync::CancellationToken;
@@ -17,15 +17,20 @@ use utoipa::IntoParams;
 use super::context::HttpContext;
 use super::paths::responses::JournalProblem;
 use super::runtime_mover::RuntimeMover;
+use super::tickets::TICKET;
 use super::visitor::Identified;
 use crate::access::{Access, Visitor};
-use crate::events::{DEFAULT_HZ, Gap, MAX_HZ, Notification, Pace, Subscription, TOPICS, Topic};
-use crate::gripper::model::Name;
+use crate::events::{DEFAULT_HZ, Gap, MAX_HZ, Notification, Pace, Subscription, Topic};
 use crate::interfaces::admission::{Claim, Class, ConnectionPermit};
 use crate::interfaces::metrics::InterfaceMetrics;
 use crate::journal::{EventStream, Filter, StreamItem};
+use crate::model::Name;
 use crate::operations::values::integer;
-use crate::operations::{Code, Problem, QueryString};
+use crate::operations::{Code, Problem, QueryString, words};
+
+/// Keeps nginx from collecting the stream's messages before it passes them on.
+const UNBUFFERED: (HeaderName, HeaderValue) =
+    (HeaderName::from_static("x-accel-buffering"), HeaderValue::from_static("no"));
 
 /// Interval of keep-alive comments on an idle stream, so that proxies keep the connection open.
 const KEPT_ALIVE_EVERY: Duration = Duration::from_secs(15);
@@ -54,6 +59,9 @@ pub struct StreamQuery {
     /// Same as `Last-Event-ID`, for clients that can't set a header: events start after this one.
     #[param(minimum = 0, maximum = 999_999_999_999_999_999_i64)]
     after: Option<i64>,
+    /// Ticket in place of a credential, for web pages of other origins.
+    #[param(max_length = 64, pattern = "^[A-Za-z0-9_-]*$")]
+    ticket: Option<String>,
 }
 
 #[derive(IntoParams)]
@@ -105,7 +113,7 @@ pub async fn stream(
     headers: HeaderMap,
     uri: Uri,
     extensions: Extensions,
-) -> Result<Sse<impl futures_util::Stream<Item = Result<sse::Event, Infallible>>>, Problem> {
+) -> Result<impl IntoResponse, Problem> {
     let visitor = Identified::client_of(&context.gateway.access, &extensions).visitor;
     let stream = Stream::new(&context, visitor, &headers, &uri)?;
     let permit = extensions.get::<Arc<ConnectionPermit>>();
@@ -115,15 +123,16 @@ pub async fn stream(
     if let Some(mover) = extensions.get::<RuntimeMover>() {
         mover.move_to(&context.runtimes.observers);
     }
-    let messages = unfold(stream, |mut stream| async { stream.next().await.map(|event| (Ok(event), stream)) });
-    Ok(Sse::new(messages).keep_alive(KeepAlive::new().interval(KEPT_ALIVE_EVERY)))
+    let messages =
+        unfold(stream, |mut stream| async { stream.next().await.map(|event| (Ok::<_, Infallible>(event), stream)) });
+    Ok(([UNBUFFERED], Sse::new(messages).keep_alive(KeepAlive::new().interval(KEPT_ALIVE_EVERY))))
 }
 
 impl Stream {
     fn new(context: &HttpContext, visitor: Visitor, headers: &HeaderMap, uri: &Uri) -> Result<Self, Problem> {
-        let given = QueryString::of(uri)?.only(&["topics", "gripper", "max_hz", "after"])?;
+        let given = QueryString::of(uri).only(&["topics", "gripper", "max_hz", "after", TICKET])?;
         let mut topics = given
-            .parsed("topics", &format!("{TOPICS}, separated by commas"), topics)?
+            .parsed("topics", &format!("{}, separated by commas", words::<Topic>()), topics)?
             .unwrap_or_else(|| BTreeSet::from([Topic::Events]));
         let name: Option<Name> = given.parsed("gripper", "a gripper's name", |text| text.parse().ok())?;
         if let Some(name) = &name {
@@ -237,7 +246,7 @@ mod tests {
     use super::*;
     use crate::access::{ClientOrigin, Credential};
     use crate::gripper::fake::{self, FakeScript};
-    use crate::gripper::model::{Client, Door, FastStopId, Reason};
+    use crate::model::{Client, Door, FastStopId, Reason};
 
     #[tokio::test(start_paused = true)]
     async fn missed_states_are_counted_unless_rate_limited() {

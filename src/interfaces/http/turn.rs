@@ -4,20 +4,17 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::body::Body as Stream;
-use axum::extract::{MatchedPath, Request};
-use axum::http::Method;
+use axum::extract::Request;
 use axum::http::header::{CONNECTION, HeaderValue};
 use axum::http::request::Parts;
 use axum::response::{IntoResponse, Response};
 use tokio::time::timeout;
 
-use super::audit::urgency;
-use super::body::read;
-use super::fast_stop::is_fast_stop;
-use super::forward::forwarded_urgency;
-use crate::gripper::model::Urgency;
+use super::asked::Asked;
+use super::body::{HeldBody, check_announced, check_encoding, read};
 use crate::interfaces::admission::{Class, ConnectionPermit};
 use crate::interfaces::pace::RequestPace;
+use crate::model::Urgency;
 use crate::operations::{Code, Problem};
 
 /// Time that a complete request waits for its turn. Requests take milliseconds, unless a device is slow.
@@ -29,21 +26,22 @@ const TURN_TIME: Duration = Duration::from_secs(2);
 pub async fn read_first(request: Request, next: impl AsyncFnOnce(Request) -> Response) -> Response {
     let permit: Option<Arc<ConnectionPermit>> = request.extensions().get().cloned();
     let pace: Option<Arc<RequestPace>> = request.extensions().get().cloned();
-    if is_fast_stop(&request) {
+    let asked: Asked = request.extensions().get().copied().unwrap_or_default();
+    if asked.urgency() == Urgency::FastStop {
         if let Some(pace) = pace {
             pace.next_fast_stop().await;
         }
         return next(request).await;
     }
     let (parts, stream) = request.into_parts();
-    let is_urgent = is_urgent(&parts);
+    let is_urgent = asked.urgency() != Urgency::None;
     if let Some(pace) = pace {
         pace.next(is_urgent).await;
     }
-    let (stream, _held) = if is_stop(&parts) {
+    let (stream, _held) = if asked.ignores_mistakes() {
         (stream, None)
     } else {
-        match read(stream, permit.as_ref()).await {
+        match read_body(&parts, stream, permit.as_ref()).await {
             Ok((bytes, held)) => (Stream::from(bytes), held),
             // The rest of the body must not be parsed as a request.
             Err(problem) => return ([(CONNECTION, HeaderValue::from_static("close"))], problem).into_response(),
@@ -63,15 +61,9 @@ pub async fn read_first(request: Request, next: impl AsyncFnOnce(Request) -> Res
     next(Request::from_parts(parts, stream)).await
 }
 
-/// Whether a request is a Stop of one gripper, judged by its path.
-fn is_stop(parts: &Parts) -> bool {
-    parts.method == Method::POST && parts.uri.path().ends_with("/stop")
-}
-
-/// Whether a request only stops a gripper, or keeps or ends a lease, on any gateway. An urgent request is never refused
-/// in favour of others.
-fn is_urgent(parts: &Parts) -> bool {
-    let route = parts.extensions.get().map(MatchedPath::as_str);
-    route.is_some_and(|route| urgency(&parts.method, route) != Urgency::None)
-        || forwarded_urgency(&parts.method, parts.uri.path()) != Urgency::None
+async fn read_body(parts: &Parts, stream: Stream, permit: Option<&Arc<ConnectionPermit>>) -> Result<HeldBody, Problem> {
+    check_announced(&parts.headers)?;
+    let (bytes, held) = read(stream, permit).await?;
+    check_encoding(&parts.headers, &bytes)?;
+    Ok((bytes, held))
 }

@@ -16,16 +16,14 @@ use tokio_tungstenite::tungstenite::handshake::server::create_response_with_body
 use super::context::HttpContext;
 use super::paths::responses::SocketProblem;
 use super::stream::too_many;
+use super::tickets::offered;
 use super::visitor::Identified;
 use crate::access::Visitor;
-use crate::gripper::model::{Client, Door};
 use crate::interfaces::admission::{Claim, Class, ConnectionPermit};
 use crate::interfaces::client_stream::ClientStream;
 use crate::interfaces::websocket::{self, Connection, SUBPROTOCOL};
+use crate::model::{Client, Door};
 use crate::operations::Problem;
-
-/// Path of the WebSocket.
-pub const PATH: &str = "/ws";
 
 /// Length of a decoded `Sec-WebSocket-Key` (RFC 6455, 4.1).
 const KEY_BYTES: usize = 16;
@@ -33,7 +31,8 @@ const KEY_BYTES: usize = 16;
 /// Open a WebSocket
 ///
 /// The WebSocket speaks JSON-RPC 2.0 with the subprotocol `wsg.v1`: the operations of this API are its methods, and
-/// updates are its notifications. `/api/v1/asyncapi.yaml` describes it.
+/// updates are its notifications. `/api/v1/asyncapi.yaml` describes it. A web page of another origin also offers the
+/// subprotocol `wsg.ticket.` followed by a ticket, which `get_ticket` returns.
 #[utoipa::path(
     get, path = "/ws", operation_id = "websocket", tag = "journal",
     responses((status = 101, description = "The connection is now a WebSocket"), SocketProblem)
@@ -44,11 +43,14 @@ pub async fn open(Shared(context): Shared<Arc<HttpContext>>, mut request: Reques
     identified.identity.as_ref().map_err(|unknown| *unknown)?;
     let (client, visitor) = (identified.client(Door::Ws), identified.visitor);
     let mut response = create_response_with_body(&request, Body::empty).map_err(|error| {
-        let detail = format!("invalid WebSocket handshake: {error}; connect with the subprotocol {SUBPROTOCOL}");
+        let detail = format!(
+            "invalid WebSocket handshake: {error}; connect with the subprotocol {SUBPROTOCOL}, and let a proxy pass on \
+             the headers Upgrade and Connection"
+        );
         Problem::malformed("Upgrade", detail)
     })?;
     check_key(request.headers())?;
-    if !offers_subprotocol(request.headers()) {
+    if !offered(request.headers()).any(|name| name == SUBPROTOCOL) {
         let detail = format!("missing subprotocol: the client must offer {SUBPROTOCOL}");
         return Err(Problem::malformed("Sec-WebSocket-Protocol", detail));
     }
@@ -88,9 +90,4 @@ fn check_key(headers: &HeaderMap) -> Result<(), Problem> {
         matches!(&keys[..], [key] if STANDARD.decode(key.as_bytes()).is_ok_and(|key| key.len() == KEY_BYTES));
     let detail = || format!("Sec-WebSocket-Key must be {KEY_BYTES} random bytes in Base64 (RFC 6455, 4.1)");
     is_valid.then_some(()).ok_or_else(|| Problem::malformed("Sec-WebSocket-Key", detail()))
-}
-
-fn offers_subprotocol(headers: &HeaderMap) -> bool {
-    let offered = headers.get_all(SEC_WEBSOCKET_PROTOCOL).iter().filter_map(|value| value.to_str().ok());
-    offered.flat_map(|value| value.split(',')).any(|name| name.trim() == SUBPROTOCOL)
 }

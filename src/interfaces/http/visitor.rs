@@ -3,25 +3,29 @@
 use axum::http::header::{AUTHORIZATION, COOKIE, HeaderValue, ORIGIN};
 use axum::http::{Extensions, HeaderMap};
 
+use super::origin::is_listed_other;
 use super::settings::HttpSettings;
 use crate::access::{Access, ClientOrigin, Credential, Identity, SessionId, Unauthorized, Visitor};
-use crate::gripper::model::{Client, Door, Name};
+use crate::model::{Client, Door, Name};
 
-/// Name of the cookie with a session's id.
-pub const SESSION_COOKIE: &str = "wsg_session";
+/// Beginning of a name over TLS. Browsers accept such a cookie only from this very host (RFC 6265bis, 4.1.3.2).
+const SECURE_PREFIX: &str = "__Host-";
 
-/// Name of that cookie over TLS. Browsers accept such a name only from this very host (RFC 6265bis, 4.1.3.2).
-const SECURE_COOKIE: &str = "__Host-wsg_session";
-
-/// Returns the name of the session's cookie. With TLS, a cookie that was set without it does not count.
-pub fn cookie_name(has_tls: bool) -> &'static str {
-    if has_tls { SECURE_COOKIE } else { SESSION_COOKIE }
+/// Returns the name of the cookie with a session's id. With TLS, a cookie that was set without it does not count.
+///
+/// The name ends with the port, because a browser sends the cookies of a host to all its ports (RFC 6265, 8.5), so that
+/// several gateways on one machine would replace each other's. The port is the one that the gateway listens on: unlike
+/// the name or the public URL, no two gateways of a machine can share it, unless they run in containers.
+pub fn cookie_name(settings: &HttpSettings) -> String {
+    let prefix = if settings.tls.is_some() { SECURE_PREFIX } else { "" };
+    format!("{prefix}wsg_session_{}", settings.port)
 }
 
-/// Returns the name of the session's cookie. Returns `None` for a page of another origin, which has no session here.
-pub fn accepted_cookie(headers: &HeaderMap, settings: &HttpSettings) -> Option<&'static str> {
-    let is_foreign = headers.get_all(ORIGIN).iter().any(|origin| settings.allows_origin(origin));
-    (!is_foreign).then(|| cookie_name(settings.tls.is_some()))
+/// Returns the name of the session's cookie. Returns `None` for a request without cookies, and for a page of another
+/// origin, which has no session here.
+pub fn accepted_cookie(headers: &HeaderMap, settings: &HttpSettings) -> Option<String> {
+    let is_foreign = headers.get_all(ORIGIN).iter().any(|origin| is_listed_other(headers, origin, settings));
+    (headers.contains_key(COOKIE) && !is_foreign).then(|| cookie_name(settings))
 }
 
 /// The client behind a request, identified when the request arrived.
@@ -33,7 +37,12 @@ pub struct Identified {
 
 impl Identified {
     pub fn of(access: &Access, headers: &HeaderMap, origin: ClientOrigin, cookie: Option<&str>) -> Self {
-        let visitor = Visitor { credential: credential(headers, cookie), origin };
+        Self::with(access, credential(headers, cookie), origin)
+    }
+
+    /// Identifies a client by this credential.
+    pub fn with(access: &Access, credential: Credential, origin: ClientOrigin) -> Self {
+        let visitor = Visitor { credential, origin };
         let identity = visitor.identity(access);
         Self { visitor, identity }
     }
@@ -41,11 +50,8 @@ impl Identified {
     /// Returns the client of a request. A request without a connection, as in tests, counts as sent without a
     /// credential.
     pub fn client_of(access: &Access, extensions: &Extensions) -> Self {
-        extensions.get().cloned().unwrap_or_else(|| {
-            let visitor = Visitor { credential: Credential::None, origin: ClientOrigin::default() };
-            let identity = visitor.identity(access);
-            Self { visitor, identity }
-        })
+        let known = extensions.get().cloned();
+        known.unwrap_or_else(|| Self::with(access, Credential::None, ClientOrigin::default()))
     }
 
     /// The client as it appears in the journal: its name, or else its address.
@@ -69,10 +75,17 @@ pub fn client(extensions: &Extensions) -> Client {
 /// Returns what a request presents. A token precedes a session, since only programs send tokens.
 fn credential(headers: &HeaderMap, cookie: Option<&str>) -> Credential {
     let mut tokens = headers.get_all(AUTHORIZATION).iter();
-    match (tokens.next(), tokens.next()) {
-        (None, _) => cookie.and_then(|cookie| session(headers, cookie)).map_or(Credential::None, Credential::Session),
+    let credential = match (tokens.next(), tokens.next()) {
+        (None, _) => Credential::None,
         (Some(token), None) => bearer(token),
-        (Some(_), Some(_)) => Credential::Malformed,
+        (Some(_), Some(_)) => return Credential::Malformed,
+    };
+    match credential {
+        // A proxy with a login of its own passes on the browser's `Basic` credentials, which are malformed here.
+        Credential::None | Credential::Malformed => {
+            cookie.and_then(|cookie| session(headers, cookie)).map_or(credential, Credential::Session)
+        }
+        token => token,
     }
 }
 
@@ -94,9 +107,36 @@ pub fn session(headers: &HeaderMap, cookie: &str) -> Option<SessionId> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::interfaces::http::WebSettings;
+
+    const SESSION_COOKIE: &str = "wsg_session_8080";
 
     fn headers(name: &'static str, values: &[&str]) -> HeaderMap {
         values.iter().map(|value| (name.parse().unwrap(), value.parse().unwrap())).collect()
+    }
+
+    #[test]
+    fn gateways_own_page_keeps_its_session_although_it_is_listed() {
+        let listed = ["http://cell.example:8080", "https://other.example"].map(str::to_owned);
+        let web = WebSettings { cors_origins: listed.to_vec(), ..WebSettings::default() };
+        let settings = HttpSettings { web, ..HttpSettings::default() };
+        let accepted = |origin: &str| {
+            let mut headers = headers("cookie", &["wsg_session_8080=x"]);
+            headers.insert("host", "cell.example:8080".parse().unwrap());
+            headers.insert("origin", origin.parse().unwrap());
+            accepted_cookie(&headers, &settings)
+        };
+        assert!(accepted("http://cell.example:8080").is_some());
+        assert_eq!(accepted("https://other.example"), None);
+    }
+
+    #[test]
+    fn login_of_a_proxy_does_not_end_a_session() {
+        let mut headers = headers("cookie", &[&format!("{SESSION_COOKIE}={}", "x".repeat(43))]);
+        headers.insert("authorization", "Basic YW5uYTpzZWNyZXQ=".parse().unwrap());
+        assert!(matches!(credential(&headers, Some(SESSION_COOKIE)), Credential::Session(_)));
+        headers.insert("authorization", "Bearer nonsense".parse().unwrap());
+        assert!(!matches!(credential(&headers, Some("another")), Credential::Session(_)));
     }
 
     #[test]
@@ -141,14 +181,25 @@ mod tests {
     }
 
     #[test]
+    fn gateways_on_one_host_have_cookies_of_their_own() {
+        let names = [8080, 8081].map(|port| cookie_name(&HttpSettings { port, ..HttpSettings::default() }));
+        assert_eq!(names, ["wsg_session_8080", "wsg_session_8081"]);
+        let any = headers("cookie", &["a=b"]);
+        assert_eq!(accepted_cookie(&any, &HttpSettings::default()), Some(names[0].clone()));
+    }
+
+    #[test]
     fn session_is_one_of_the_cookies() {
         let id = "x".repeat(43);
-        let found = credential(&headers("cookie", &[&format!("a=b; wsg_session={id}"), "c=d"]), Some(SESSION_COOKIE));
+        let found = credential(
+            &headers("cookie", &[&format!("a=b; wsg_session_8081=z; wsg_session_8080={id}"), "c=d"]),
+            Some(SESSION_COOKIE),
+        );
         assert_eq!(found, Credential::Session(SessionId::parse(&id).unwrap()));
-        let planted = credential(&headers("cookie", &[&format!("wsg_session={id}")]), Some(cookie_name(true)));
-        assert_eq!(planted, Credential::None, "set without TLS");
+        let planted = headers("cookie", &[&format!("wsg_session_8080={id}")]);
+        assert_eq!(credential(&planted, Some("__Host-wsg_session_8080")), Credential::None, "set without TLS");
         assert_eq!(
-            credential(&headers("cookie", &["wsg_session=short", "xwsg_session=y"]), Some(SESSION_COOKIE)),
+            credential(&headers("cookie", &["wsg_session_8080=short", "xwsg_session_8080=y"]), Some(SESSION_COOKIE)),
             Credential::None
         );
     }

@@ -7,9 +7,9 @@ use axum::http::Extensions;
 use futures_util::future::{BoxFuture, FutureExt as _};
 
 use crate::gripper::Ticket;
-use crate::gripper::model::CommandReport;
 use crate::interfaces::admission::{Class, ConnectionPermit};
 use crate::interfaces::pace::RequestPace;
+use crate::model::CommandReport;
 use crate::operations::WaitLimiter;
 
 /// Delay of a connection's next request after its wait was cut short.

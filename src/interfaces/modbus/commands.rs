@@ -3,6 +3,7 @@
 use serde_json::{Map, Value, json};
 
 use super::order::{ModbusOrder, OutOfRange};
+use crate::operations::motion;
 
 /// Holding registers of the gateway map.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -54,10 +55,10 @@ impl CommandRegisters {
         }
         Ok(Some(match self.command {
             0 => return Ok(None),
-            1 => ModbusOrder::motion("home", json!({"direction": self.direction()?})),
-            2 => ModbusOrder::motion("move", self.movement()),
-            3 => ModbusOrder::motion("grip", self.values(true)?),
-            4 => ModbusOrder::motion("release", self.values(false)?),
+            1 => ModbusOrder::motion(&motion::HOME, json!({"direction": self.direction()?})),
+            2 => ModbusOrder::motion(&motion::MOVE, self.movement()),
+            3 => ModbusOrder::motion(&motion::GRIP, self.values(true)?),
+            4 => ModbusOrder::motion(&motion::RELEASE, self.values(false)?),
             5 => ModbusOrder::Stop,
             6 => ModbusOrder::Acknowledge { number: self.fast_stop_number },
             7 => ModbusOrder::TakeLease(self.terms()?),
@@ -138,17 +139,20 @@ mod tests {
     fn registers_become_parameters() {
         let values = [4050, 1005, 405];
         assert_eq!(order(0, 0, values, 0, 0), Ok(None));
-        assert_eq!(order(1, 0, values, 0x10, 0), Ok(Some(ModbusOrder::motion("home", json!({"direction": "outer"})))));
+        assert_eq!(
+            order(1, 0, values, 0x10, 0),
+            Ok(Some(ModbusOrder::motion(&motion::HOME, json!({"direction": "outer"}))))
+        );
         let relative = json!({"width_mm": -0.5, "speed_mm_s": 100.5, "relative": true, "on_block": "clamp"});
         assert_eq!(
             order(2, 0, [(-50_i16).cast_unsigned(), 1005, 0], 3, 0),
-            Ok(Some(ModbusOrder::motion("move", relative)))
+            Ok(Some(ModbusOrder::motion(&motion::MOVE, relative)))
         );
         let grip = json!({"width_mm": 40.5, "speed_mm_s": 100.5, "force_n": 40.5});
-        assert_eq!(order(3, 0, values, 0, 0), Ok(Some(ModbusOrder::motion("grip", grip))));
+        assert_eq!(order(3, 0, values, 0, 0), Ok(Some(ModbusOrder::motion(&motion::GRIP, grip))));
         assert_eq!(
             order(4, 0, values, 0, 0),
-            Ok(Some(ModbusOrder::motion("release", json!({"width_mm": 40.5, "speed_mm_s": 100.5}))))
+            Ok(Some(ModbusOrder::motion(&motion::RELEASE, json!({"width_mm": 40.5, "speed_mm_s": 100.5}))))
         );
         assert_eq!(order(5, 0, values, 0, 0), Ok(Some(ModbusOrder::Stop)));
         assert_eq!(order(6, 0, values, 0, 0), Ok(Some(ModbusOrder::Acknowledge { number: 42 })));
@@ -158,11 +162,11 @@ mod tests {
     #[test]
     fn recipe_has_all_values_unless_it_is_overridden() {
         let values = [4050, 0, 405];
-        assert_eq!(order(3, 12, values, 0, 0), Ok(Some(ModbusOrder::motion("grip", json!({"recipe": 12})))));
+        assert_eq!(order(3, 12, values, 0, 0), Ok(Some(ModbusOrder::motion(&motion::GRIP, json!({"recipe": 12})))));
         let overridden = json!({"recipe": 12, "width_mm": 40.5, "force_n": 40.5});
-        assert_eq!(order(3, 12, values, OVERRIDE_RECIPE, 0), Ok(Some(ModbusOrder::motion("grip", overridden))));
+        assert_eq!(order(3, 12, values, OVERRIDE_RECIPE, 0), Ok(Some(ModbusOrder::motion(&motion::GRIP, overridden))));
         let released = json!({"recipe": 12, "width_mm": 40.5});
-        assert_eq!(order(4, 12, values, OVERRIDE_RECIPE, 0), Ok(Some(ModbusOrder::motion("release", released))));
+        assert_eq!(order(4, 12, values, OVERRIDE_RECIPE, 0), Ok(Some(ModbusOrder::motion(&motion::RELEASE, released))));
     }
 
     #[test]

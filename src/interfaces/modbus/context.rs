@@ -6,11 +6,11 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::watch;
 
-use crate::gripper::clock;
-use crate::gripper::model::Name;
 use crate::interfaces::foreign::ForeignClients;
 use crate::interfaces::metrics::InterfaceMetrics;
 use crate::interfaces::peers::KnownPeers;
+use crate::model::Name;
+use crate::model::clock;
 use crate::operations::Gateway;
 
 /// Interval in which the gateway's heartbeat grows.

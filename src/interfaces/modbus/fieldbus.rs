@@ -3,6 +3,7 @@
 use serde_json::{Value, json};
 
 use super::order::ModbusOrder;
+use crate::operations::motion;
 
 /// Holding registers of the fieldbus map.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -68,10 +69,10 @@ impl FieldbusRegisters {
         Some(match lowest {
             _ if ends_jog && rising & STOP_OR_ACKNOWLEDGE == 0 => ModbusOrder::Stop,
             _ if ends_jog => ModbusOrder::StopOrAcknowledge,
-            MOVE => ModbusOrder::motion("move", json!({"width_mm": width_mm, "speed_mm_s": speed_mm_s})),
-            GRASP => ModbusOrder::motion("grip", self.grip(width_mm, speed_mm_s)),
-            RELEASE => ModbusOrder::motion("release", json!({"width_mm": width_mm, "speed_mm_s": speed_mm_s})),
-            HOMING => ModbusOrder::motion("home", json!({})),
+            MOVE => ModbusOrder::motion(&motion::MOVE, json!({"width_mm": width_mm, "speed_mm_s": speed_mm_s})),
+            GRASP => ModbusOrder::motion(&motion::GRIP, self.grip(width_mm, speed_mm_s)),
+            RELEASE => ModbusOrder::motion(&motion::RELEASE, json!({"width_mm": width_mm, "speed_mm_s": speed_mm_s})),
+            HOMING => ModbusOrder::motion(&motion::HOME, json!({})),
             STOP_OR_ACKNOWLEDGE => ModbusOrder::StopOrAcknowledge,
             JOG_OPEN | JOG_CLOSE => ModbusOrder::Jog { opens: lowest == JOG_OPEN, speed_mm_s },
             // A FAST STOP takes another path.
@@ -104,11 +105,11 @@ mod tests {
     #[test]
     fn rising_edges_are_orders() {
         let position = json!({"width_mm": 20.5, "speed_mm_s": 50.0});
-        assert_eq!(order(0, MOVE), Some(ModbusOrder::motion("move", position.clone())));
+        assert_eq!(order(0, MOVE), Some(ModbusOrder::motion(&motion::MOVE, position.clone())));
         let grip = json!({"width_mm": 20.5, "speed_mm_s": 50.0, "force_n": 40.0});
-        assert_eq!(order(0, GRASP), Some(ModbusOrder::motion("grip", grip)));
-        assert_eq!(order(MOVE, RELEASE), Some(ModbusOrder::motion("release", position)));
-        assert_eq!(order(0, HOMING), Some(ModbusOrder::motion("home", json!({}))));
+        assert_eq!(order(0, GRASP), Some(ModbusOrder::motion(&motion::GRIP, grip)));
+        assert_eq!(order(MOVE, RELEASE), Some(ModbusOrder::motion(&motion::RELEASE, position)));
+        assert_eq!(order(0, HOMING), Some(ModbusOrder::motion(&motion::HOME, json!({}))));
         assert_eq!(order(0, STOP_OR_ACKNOWLEDGE), Some(ModbusOrder::StopOrAcknowledge));
         for flag in (0..8).map(|bit| 1 << bit) {
             assert_eq!(order(flag, flag), None, "no edge");

@@ -11,7 +11,7 @@ use super::fieldbus::{FieldbusFlags, FieldbusRegisters};
 use super::order::{ModbusOrder, OutOfRange};
 use super::registers::{COMMAND_AT, FLAGS_AT, Outputs};
 use crate::gripper::Ticket;
-use crate::gripper::model::{CommandReport, LatchFields, Outcome, Phase, State};
+use crate::model::{CommandReport, LatchFields, Outcome, Phase, State};
 use crate::operations::Code;
 use crate::wsg::Status;
 

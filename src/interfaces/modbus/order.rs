@@ -2,11 +2,13 @@
 
 use serde_json::Value;
 
+use crate::operations::{Method, Operation};
+
 /// An order to a gripper.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum ModbusOrder {
     Motion {
-        operation: &'static str,
+        method: Method,
         fields: Value,
     },
     /// A motion to an end of the stroke.
@@ -38,7 +40,7 @@ impl ModbusOrder {
         }
     }
 
-    pub(super) fn motion(operation: &'static str, fields: Value) -> Self {
-        Self::Motion { operation, fields }
+    pub(super) fn motion(operation: &'static Operation, fields: Value) -> Self {
+        Self::Motion { method: operation.into(), fields }
     }
 }

@@ -12,10 +12,10 @@ use tokio_util::sync::CancellationToken;
 use super::adu;
 use super::connection::ModbusConnection;
 use super::context::{ModbusContext, ModbusSettings, NewestSettings};
-use crate::gripper::model::Door;
 use crate::interfaces::accept;
 use crate::interfaces::admission::{Admission, Bounds};
 use crate::interfaces::sockets;
+use crate::model::Door;
 
 /// Accepts clients until `draining`, and serves them until `closing`. They use this many descriptors at most.
 ///

@@ -5,7 +5,7 @@ use std::time::Instant;
 use super::image::{Ended, Image, ImageCommand, number_of};
 use super::registers::{Inputs, scaled};
 use crate::gripper::Now;
-use crate::gripper::model::{Link, State};
+use crate::model::{Link, State};
 use crate::operations::Code;
 use crate::wsg::{Status, SystemState};
 
@@ -32,6 +32,8 @@ const CONNECTED: u16 = 12;
 const PREPARED: u16 = 13;
 /// A value that the registers show as 0 or as unknown should be known, and is not.
 const STALE: u16 = 14;
+/// The gripper is reserved for another client, which was lost.
+const RESERVED: u16 = 15;
 
 /// Parts of the input registers that depend on the client.
 #[derive(Debug, Clone, Copy)]
@@ -106,7 +108,8 @@ fn status_word(state: &State, view: GripperView<'_>) -> u16 {
         _ => None,
     };
     let is_busy = matches!(image.command(), ImageCommand::Requested | ImageCommand::Admitted(_));
-    let is_others = !holds_lease && (state.lease_holder.is_some() || state.reserved_for.is_some() && !is_reserved);
+    let is_for_others = !holds_lease && state.reserved_for.is_some() && !is_reserved;
+    let is_others = !holds_lease && state.lease_holder.is_some() || is_for_others;
     let is_ready = !state.fault && state.command_id.is_none() && !is_others && image.is_prepared();
     word([
         (READY, is_ready),
@@ -124,6 +127,7 @@ fn status_word(state: &State, view: GripperView<'_>) -> u16 {
         (CONNECTED, state.link == Link::Connected),
         (PREPARED, image.is_prepared()),
         (STALE, is_stale(state, now)),
+        (RESERVED, is_for_others),
     ])
 }
 
@@ -182,8 +186,8 @@ mod tests {
     use std::time::Duration;
 
     use super::*;
-    use crate::gripper::clock;
-    use crate::gripper::model::{Fault, Missing, Values};
+    use crate::model::clock;
+    use crate::model::{Fault, Missing, Values};
     use crate::wsg::{GripperState, Temperature};
 
     fn inputs(state: &State, image: &Image, holds_lease: bool) -> Inputs {

@@ -1,4 +1,4 @@
-//! What a message or a request on a socket leads to.
+//! Results of a message or a request on a socket.
 
 use std::sync::Arc;
 

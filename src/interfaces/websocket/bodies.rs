@@ -8,7 +8,7 @@ use serde_json::Value;
 use utoipa::ToSchema;
 
 use crate::events::{DEFAULT_HZ, MAX_HZ, Subscription, Topic};
-use crate::gripper::model::{Name, State};
+use crate::model::{Name, State};
 use crate::operations::values::integer;
 use crate::operations::{Gateway, Problem, json};
 
@@ -18,12 +18,11 @@ use crate::operations::{Gateway, Problem, json};
 #[schema(example = json!({"grippers": ["left"], "topics": ["state", "events"], "max_hz": 20}))]
 pub struct Subscribe {
     /// Names of the grippers; all grippers if omitted. Events that concern no gripper are sent only if this is omitted.
-    #[schema(nullable = false)]
     grippers: Option<Vec<String>>,
     /// Topics to subscribe to.
     topics: BTreeSet<Topic>,
     /// Maximum rate of states and telemetry for each gripper, per second. The fleet's rate is always 10.
-    #[schema(value_type = Option<u64>, nullable = false, minimum = 1, maximum = 100, default = 10)]
+    #[schema(value_type = Option<u64>, minimum = 1, maximum = 100, default = 10)]
     max_hz: Option<f64>,
 }
 

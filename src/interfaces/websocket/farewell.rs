@@ -11,11 +11,10 @@ use tokio_tungstenite::tungstenite::protocol::frame::Frame;
 use tokio_tungstenite::tungstenite::protocol::frame::coding::CloseCode;
 
 use super::end::SocketEnd;
-use super::rpc::{self, Incoming};
+use super::rpc::{self, Incoming, RpcMethod};
 use super::socket::Socket;
 use crate::events::encoded;
-use crate::gripper::model::{LossCause, Urgency};
-use crate::operations::urgency;
+use crate::model::{LossCause, Urgency};
 
 /// Time limit of the closing handshake.
 const FAREWELL_WITHIN: Duration = Duration::from_secs(1);
@@ -118,14 +117,15 @@ impl Socket {
             Incoming::Batch(calls) => calls,
         };
         for call in calls.into_iter().flatten() {
-            let begun = match urgency(&call.method) {
+            let RpcMethod::Operation(method) = &call.method else { continue };
+            let begun = match method.urgency() {
                 Urgency::FastStop => &mut begun.fast_stops,
                 Urgency::Stop => &mut begun.stops,
                 Urgency::Lease | Urgency::None => continue,
             };
             *begun += 1;
             if *begun <= MAX_LAST_STOPS {
-                // Its first poll begins it.
+                // The first poll of the call begins it.
                 let _ = self.answered(Ok(call)).now_or_never();
             }
         }

@@ -5,8 +5,9 @@ use serde::Serialize;
 use serde_json::Value;
 use serde_json::value::RawValue;
 
+use crate::model::without_byte_order_mark;
 use crate::operations::json::{self, MAX_BODY_BYTES, StrictJson};
-use crate::operations::{Code, OPERATIONS, Problem, is_fast_stop};
+use crate::operations::{Code, Method, Problem, all};
 
 /// Maximum number of requests in a batch.
 pub const MAX_BATCH: usize = 32;
@@ -16,6 +17,9 @@ pub const MAX_ID_BYTES: usize = 64;
 
 const VERSION: &str = "2.0";
 
+/// Method that has no operation: it concerns only its own socket.
+const SUBSCRIBE: &str = "subscribe";
+
 const PARSE_ERROR: i32 = -32700;
 const INVALID_REQUEST: i32 = -32600;
 const METHOD_NOT_FOUND: i32 = -32601;
@@ -24,11 +28,20 @@ const INTERNAL_ERROR: i32 = -32603;
 /// Code of all other refusals; the problem's `code` says why.
 const REFUSED: i32 = -32000;
 
-#[derive(Debug, PartialEq)]
+/// Method that a request asks for.
+#[derive(Debug)]
+pub enum RpcMethod {
+    Subscribe,
+    Operation(Method),
+    /// A method that does not exist, with the problem that says so.
+    Unknown(Problem),
+}
+
+#[derive(Debug)]
 pub struct RpcCall {
     /// Id of the request; `None` for a notification, which gets no response.
     pub id: Option<Value>,
-    pub method: String,
+    pub method: RpcMethod,
     pub params: Value,
     /// Label of the client's user.
     pub label: Option<String>,
@@ -61,6 +74,19 @@ pub struct RpcResponse {
 enum Outcome {
     Result(Box<RawValue>),
     Error(RpcError),
+}
+
+impl RpcMethod {
+    fn named(name: &str) -> Self {
+        if name == SUBSCRIBE {
+            return Self::Subscribe;
+        }
+        Method::named(name).map_or_else(Self::Unknown, Self::Operation)
+    }
+
+    pub fn is_fast_stop(&self) -> bool {
+        matches!(self, Self::Operation(method) if method.is_fast_stop())
+    }
 }
 
 impl RpcResponse {
@@ -101,9 +127,9 @@ impl From<Problem> for RpcError {
 }
 
 /// Returns the FAST STOP method that an invalid message names.
-fn fast_stop_in(text: &str) -> Option<&'static str> {
-    let names = OPERATIONS.iter().map(|operation| operation.name).filter(|name| is_fast_stop(name));
-    names.into_iter().find(|name| text.contains(&format!("\"{name}\"")))
+fn fast_stop_in(text: &str) -> Option<Method> {
+    let mut methods = all().map(Method::from).filter(|method| method.is_fast_stop());
+    methods.find(|method| text.contains(&format!("\"{}\"", method.name())))
 }
 
 /// Whether a text names a FAST STOP, well-formed or not.
@@ -114,18 +140,18 @@ pub fn has_fast_stop(text: &str) -> bool {
 /// Parses a message. An invalid or oversized message that names a FAST STOP is a FAST STOP of all grippers.
 pub fn parse(text: &str) -> Incoming {
     let fast_stop = || {
-        let name = fast_stop_in(text)?;
-        Some(RpcCall { id: Some(Value::Null), method: name.to_owned(), params: Value::Null, label: None })
+        let method = RpcMethod::Operation(fast_stop_in(text)?);
+        Some(RpcCall { id: Some(Value::Null), method, params: Value::Null, label: None })
     };
     let invalid = |code, problem: Problem| {
         Incoming::One(fast_stop().ok_or_else(|| RpcResponse::invalid(Value::Null, code, problem)))
     };
-    let is_fast_stop = |call: &Result<RpcCall, _>| call.as_ref().is_ok_and(|call| is_fast_stop(&call.method));
+    let is_fast_stop = |call: &Result<RpcCall, _>| call.as_ref().is_ok_and(|call| call.method.is_fast_stop());
     if text.len() > MAX_BODY_BYTES {
         let detail = format!("the message has {} bytes; at most {MAX_BODY_BYTES} are allowed", text.len());
         return invalid(INVALID_REQUEST, Problem::new(Code::TooLarge, detail));
     }
-    match serde_json::from_str(text).map(|StrictJson(message)| message) {
+    match serde_json::from_slice(without_byte_order_mark(text.as_bytes())).map(|StrictJson(message)| message) {
         Err(error) => {
             let code = if error.is_data() { INVALID_REQUEST } else { PARSE_ERROR };
             invalid(code, json::invalid("JSON", &error))
@@ -167,9 +193,10 @@ fn call(mut request: Value) -> Result<RpcCall, RpcResponse> {
         id => id.is_i64() || id.is_u64() || id.is_null(),
     };
     let known_id = id.as_ref().filter(|id| is_id(id)).cloned();
-    if let Some(method) = method.as_ref().and_then(Value::as_str).filter(|method| is_fast_stop(method)) {
-        return Ok(RpcCall { id: known_id, method: method.to_owned(), params, label });
-    }
+    let method = match method.as_ref().and_then(Value::as_str).map(RpcMethod::named) {
+        Some(method) if method.is_fast_stop() => return Ok(RpcCall { id: known_id, method, params, label }),
+        method => method,
+    };
     let invalid = |detail: &str| {
         Err(RpcResponse::invalid(known_id.clone().unwrap_or_default(), INVALID_REQUEST, malformed(detail.to_owned())))
     };
@@ -180,8 +207,8 @@ fn call(mut request: Value) -> Result<RpcCall, RpcResponse> {
         return invalid("id must be a string of at most 64 bytes or an integer below 2^64");
     }
     match method {
-        Some(Value::String(method)) => Ok(RpcCall { id, method, params, label }),
-        _ => invalid("method must be a string"),
+        Some(method) => Ok(RpcCall { id, method, params, label }),
+        None => invalid("method must be a string"),
     }
 }
 
@@ -195,6 +222,13 @@ mod tests {
 
     use super::*;
 
+    fn method(call: &RpcCall) -> &str {
+        match &call.method {
+            RpcMethod::Operation(method) => method.name(),
+            other => panic!("{other:?}"),
+        }
+    }
+
     fn one(request: &Value) -> Result<RpcCall, Value> {
         match parse(&request.to_string()) {
             Incoming::One(one) => one.map_err(|answer| serde_json::to_value(answer).unwrap()),
@@ -206,9 +240,16 @@ mod tests {
     fn notification_has_no_id() {
         let request = one(&json!({"jsonrpc": "2.0", "id": "a", "method": "state", "params": {"gripper": "left"}}));
         let params = json!({"gripper": "left"});
-        let expected = RpcCall { id: Some("a".into()), method: "state".to_owned(), params, label: None };
-        assert_eq!(request, Ok(expected));
+        let request = request.unwrap();
+        assert_eq!((request.id.clone(), method(&request), &request.params), (Some("a".into()), "state", &params));
         assert_eq!(one(&json!({"jsonrpc": "2.0", "method": "state"})).unwrap().id, None);
+    }
+
+    #[test]
+    fn byte_order_mark_is_ignored() {
+        let request = json!({"jsonrpc": "2.0", "id": 1, "method": "state"}).to_string();
+        let Incoming::One(Ok(call)) = parse(&format!("\u{feff}{request}")) else { panic!("{request}") };
+        assert_eq!(method(&call), "state");
     }
 
     #[test]
@@ -262,17 +303,17 @@ mod tests {
     #[test]
     fn malformed_fast_stop_is_accepted() {
         for request in [json!({"method": "fast-stop"}), json!({"jsonrpc": 2, "id": [], "method": "fast-stop"})] {
-            assert_eq!(one(&request).unwrap().method, "fast-stop");
+            assert_eq!(method(&one(&request).unwrap()), "fast-stop");
         }
-        assert_eq!(one(&json!({"method": "fleet.fast-stop"})).unwrap().method, "fleet.fast-stop");
+        assert_eq!(method(&one(&json!({"method": "fleet.fast-stop"})).unwrap()), "fleet.fast-stop");
         for request in
             [json!("fast-stop"), json!({"params": {"method": "fast-stop"}}), json!({"method": ["fast-stop"]})]
         {
-            assert_eq!(one(&request).unwrap().method, "fast-stop", "{request}");
+            assert_eq!(method(&one(&request).unwrap()), "fast-stop", "{request}");
         }
         let batch = json!([{"jsonrpc": "2.0", "id": 1, "method": "state"}, ["fast-stop"], 7]);
         let Incoming::Batch(calls) = parse(&batch.to_string()) else { panic!("{batch}") };
-        let methods: Vec<_> = calls.iter().map(|call| call.as_ref().map(|call| call.method.as_str()).ok()).collect();
+        let methods: Vec<_> = calls.iter().map(|call| call.as_ref().map(method).ok()).collect();
         assert_eq!(methods, [Some("state"), Some("fast-stop"), None]);
         let request = r#"{"jsonrpc": "2.0", "id": 1, "method": "fast-stop", "params": {"gripper": "left"}}"#;
         let batch = format!("[{}]", [request; MAX_BATCH + 1].join(","));
@@ -281,14 +322,11 @@ mod tests {
             &batch,
             &nested,
             &format!("{request}}}"),
-            &format!("\u{feff}{request}"),
             &request.replace('1', "1, \"id\": 2"),
             &request.replace("left", &"x".repeat(MAX_BODY_BYTES)),
         ] {
             let Incoming::One(Ok(call)) = parse(text) else { panic!("{text}") };
-            let expected =
-                RpcCall { id: Some(Value::Null), method: "fast-stop".to_owned(), params: Value::Null, label: None };
-            assert_eq!(call, expected);
+            assert_eq!((method(&call), &call.id, &call.params), ("fast-stop", &Some(Value::Null), &Value::Null));
         }
     }
 }

@@ -26,18 +26,18 @@ use super::bodies;
 use super::end::{SocketEnd, TOO_LONG, end_of};
 use super::halves::{self, Inbound};
 use super::outbox::Outbox;
-use super::rpc::{self, Incoming, RpcCall, RpcError, RpcResponse};
+use super::rpc::{self, Incoming, RpcCall, RpcError, RpcMethod, RpcResponse};
 use super::writer::Writer;
 use crate::access::{Right, Visitor};
 use crate::events::{Notification, encoded, text_frame};
-use crate::gripper::model::{Client, CommandReport, LossCause, Name, Urgency};
 use crate::interfaces::Context;
 use crate::interfaces::admission::{Claim, Class, ConnectionPermit, HeldBytes};
 use crate::interfaces::client_stream::ClientStream;
 use crate::interfaces::metrics::Connected;
 use crate::interfaces::pace::RequestPace;
+use crate::model::{Client, CommandReport, LossCause, Name, Urgency};
 use crate::operations::json::{MAX_BODY_BYTES, MAX_OVERSIZED_BYTES};
-use crate::operations::{Caller, Code, ConnectionLease, Problem, is_fast_stop, lease, named, require, urgency};
+use crate::operations::{Caller, Code, ConnectionLease, Method, Problem, lease, require};
 
 const PINGED_EVERY: Duration = Duration::from_secs(1);
 
@@ -297,57 +297,61 @@ impl Socket {
             Err(answer) => return ready(Answered { answer: Some(answer), ..Answered::default() }),
         };
         let refused = |problem: Problem| Err(RpcError::from(problem));
-        if let Some(detail) = self.overload().filter(|_| !is_fast_stop(&method)) {
+        if let Some(detail) = self.overload().filter(|_| !method.is_fast_stop()) {
             let refused = refused(Problem::new(Code::Overloaded, detail));
             return ready(Answered { answer: id.map(|id| RpcResponse::new(id, refused)), ..Answered::default() });
         }
-        if method == "subscribe" {
-            let allowed = self.check_read().and_then(|()| bodies::subscribe(&self.context.gateway, &params));
-            return ready(match allowed.map(|(body, following)| (raw(&body), following)) {
-                Ok((body, following)) => Answered {
-                    answer: id.map(|id| RpcResponse::new(id, body)),
-                    following: Some(following),
-                    lease: None,
-                    running: None,
-                },
-                Err(problem) => {
-                    Answered { answer: id.map(|id| RpcResponse::new(id, refused(problem))), ..Answered::default() }
-                }
-            });
-        }
-        if named(&method).next().is_none() {
-            let detail = "unknown method; /api/v1/asyncapi.yaml lists all methods";
-            let error = RpcError::no_method(Problem::new(Code::NotFound, detail));
-            return ready(Answered { answer: id.map(|id| RpcResponse::new(id, Err(error))), ..Answered::default() });
-        }
-        if method == lease::TAKE.name && id.is_none() {
+        let method = match method {
+            RpcMethod::Operation(method) => method,
+            RpcMethod::Subscribe => {
+                let allowed = self.check_read().and_then(|()| bodies::subscribe(&self.context.gateway, &params));
+                return ready(match allowed.map(|(body, following)| (raw(&body), following)) {
+                    Ok((body, following)) => Answered {
+                        answer: id.map(|id| RpcResponse::new(id, body)),
+                        following: Some(following),
+                        lease: None,
+                        running: None,
+                    },
+                    Err(problem) => {
+                        Answered { answer: id.map(|id| RpcResponse::new(id, refused(problem))), ..Answered::default() }
+                    }
+                });
+            }
+            RpcMethod::Unknown(problem) => {
+                let error = RpcError::no_method(problem);
+                return ready(Answered {
+                    answer: id.map(|id| RpcResponse::new(id, Err(error))),
+                    ..Answered::default()
+                });
+            }
+        };
+        if method == Method::from(&lease::TAKE) && id.is_none() {
             // A request without an id gets no response, so nobody would get the token.
             return ready(Answered::default());
         }
         let (gateway, client, metrics) =
             (self.context.gateway.clone(), self.client.clone(), self.context.metrics.clone());
         let identity = self.visitor.identity(&gateway.access);
-        let (is_fast_stop, urgency) = (is_fast_stop(&method), urgency(&method));
-        let is_urgent = urgency != Urgency::None;
-        let is_change = named(&method).any(|operation| operation.changes_something() && operation.is_of_gripper());
+        let urgency = method.urgency();
+        let is_change = method.operations().any(|operation| operation.changes_something() && operation.is_of_gripper());
         let pace = self.pace.clone();
         let answered = async move {
             // The FAST STOPs of a batch arrive all at once.
-            if is_fast_stop {
+            if urgency == Urgency::FastStop {
                 pace.next_fast_stop().await;
             }
             let caller = Caller::new(client, identity).labelled(label.as_deref());
-            let result = crate::operations::call(&gateway, caller, &method, params).await;
+            let result = crate::operations::call(&gateway, caller, method, params).await;
             let status = result.as_ref().map_or_else(|problem| problem.status().as_u16(), |_| 200);
-            metrics.answered(Some(&method), "CALL", status);
+            metrics.answered(Some(method.name()), "CALL", status);
             Answered::new(id, result)
         };
         // A call that panicked gets no response. A FAST STOP runs to its end even without the socket.
-        if is_fast_stop {
+        if urgency == Urgency::FastStop {
             return tokio::spawn(answered).map(Result::unwrap_or_default).boxed();
         }
         // Changes of a gripper start in the order of their requests: a Stop must not overtake the motion before it.
-        if is_urgent || is_change {
+        if urgency != Urgency::None || is_change {
             let mut answered = AssertUnwindSafe(answered).catch_unwind().map(Result::unwrap_or_default).boxed();
             if urgency != Urgency::Stop {
                 return answered;

@@ -9,8 +9,8 @@ use std::sync::Arc;
 use tokio::time::timeout;
 
 use crate::gripper::handle::FAST_STOP_WAIT;
-use crate::gripper::model::{Client, FastStopCause, FastStopId, LatchFields, State};
 use crate::gripper::{Conflict, Handle, Rejection};
+use crate::model::{Client, FastStopCause, FastStopId, LatchFields, State};
 
 /// Acknowledges a FAST STOP. A driver that connects again just after its connection was lost sends 24h before the device
 /// has confirmed the FAST STOP for that loss.

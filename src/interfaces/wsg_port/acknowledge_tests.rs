@@ -1,5 +1,6 @@
 //! Tests of 24h, and of the causes of refusals.
 
+use super::super::super::status::RefusedStatus;
 use super::*;
 
 fn acknowledges(bench: &mut Bench) -> bool {
@@ -79,7 +80,7 @@ fn seen_latch_of_the_device_can_be_acknowledged() {
         assert_eq!(malformed.sent(), [(id::HOMING, Status::E_ACCESS_DENIED)]);
         assert_eq!(acknowledges(&mut malformed), by_device, "seen in a malformed motion: {cause:?}");
 
-        let mut any = Bench::with(&Rules { acknowledge_any: true, ..rules() });
+        let mut any = Bench::with(&Rules { acknowledge: AcknowledgePolicy::Any, ..rules() });
         any.state = held.clone();
         assert!(acknowledges(&mut any), "acknowledge_any: {cause:?}");
     }

@@ -14,17 +14,16 @@ use tokio_util::sync::CancellationToken;
 mod last_replies;
 mod leases;
 use super::acknowledge::acknowledge;
-use super::device::{PortOrder, PortOrdered, PortReply, PortRequest, VirtualDevice};
+use super::device::VirtualDevice;
+use super::order::{PortOrder, PortOrdered, PortReply, PortRequest};
 use super::port::Port;
 use super::refusals::{Refusals, Refused};
 use super::rights;
 use super::status::RefusedStatus;
-use crate::gripper::clock::{self, sleep_until};
-use crate::gripper::model::{
-    Action, Client, CommandReport, FastStopId, LeaseToken, Motion, Outcome, Phase, Reason, Submission,
-};
 use crate::gripper::{AcquiredLease, Conflict, LeaseKeepAlive, Rejection, Ticket};
 use crate::interfaces::admission::{Claim, Class, ConnectionPermit};
+use crate::model::clock::{self, sleep_until};
+use crate::model::{Action, Client, CommandReport, FastStopId, LeaseToken, Motion, Outcome, Phase, Reason, Submission};
 use crate::wsg::{self, Data, Reply, Status, id};
 
 /// Read buffer size. The replies to all requests that fit into it can be queued before any of them is written.
@@ -274,7 +273,13 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
         self.is_fresh = false;
         self.is_lost = false;
         self.permit.heard();
-        self.device.receive(self.heard, bytes, &self.port.gripper.state());
+        let state = self.port.gripper.state();
+        self.device.receive(self.heard, bytes, &state);
+        // A longer datagram comes in several pieces, of which the last one is shorter.
+        let is_datagram = self.silence.is_some();
+        if is_datagram && bytes.len() < READ_BYTES {
+            self.device.end_datagram(self.heard, &state);
+        }
     }
 
     /// Reads bytes that have already arrived.
@@ -360,6 +365,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
                     Ok(())
                     | Err(Rejection::Conflict(
                         Conflict::LeaseHeld { .. }
+                        | Conflict::Reserved { .. }
                         | Conflict::LeaseBound { .. }
                         | Conflict::LeaseTokenMissing { .. }
                         | Conflict::StaleLease { .. },

@@ -15,14 +15,14 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Instant;
 
+mod queries;
 use super::acknowledge::AcknowledgeRight;
 use super::input::{PortInput, Unusable};
-use super::port::Rules;
+use super::order::{PortOrder, PortOrdered, PortReply, PortRequest};
+use super::port::{AcknowledgePolicy, Rules};
 use super::refusals::{Cause, Refused};
-use super::status::{RefusedStatus, status_of_end};
-use super::values::{tells_fast_stop, value};
 use crate::gripper::FastStop;
-use crate::gripper::model::{Action, CommandReport, CustomIds, FastStopId, Link, State};
+use crate::model::{Action, CustomIds, FastStopId, Link, State};
 use crate::wsg::{ChecksumEvaluation, Command, Data, Reply, Status, Subscriptions, Updates, id};
 
 /// Maximum number of waiting requests of one client. More are answered with E_OVERRUN.
@@ -35,65 +35,8 @@ pub(super) const MAX_STOPS: usize = 16;
 /// Maximum number of unread frames of a client. A client that exceeds it no longer reads and is disconnected.
 pub(super) const MAX_WAITING_FRAMES: usize = 256;
 
-/// Number of unread frames from which automatic updates are skipped, since the next update is newer.
-const MAX_FRAMES_BEFORE_UPDATES: usize = 16;
-
 /// Smallest `fault_code` of a fault that the device shows without a FAST STOP.
 const MIN_DEVICE_FAULT: u16 = 20;
-
-#[derive(Debug, PartialEq)]
-pub(super) enum PortOrder {
-    Command(Action),
-    FastStop,
-    Acknowledge(FastStopId),
-    /// Acknowledges a fault of the device while no FAST STOP is latched.
-    AcknowledgeFault,
-    Exchange(Command),
-    Release,
-}
-
-/// An order and its request.
-#[derive(Debug, PartialEq)]
-pub(super) struct PortOrdered {
-    pub ask: PortRequest,
-    pub order: PortOrder,
-}
-
-/// A request that is being executed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct PortRequest {
-    pub id: u8,
-    /// Whether the next request waits for the reply.
-    pub is_awaited: bool,
-}
-
-/// The gripper's reply to an order.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) enum PortReply {
-    /// The device has accepted a motion; the result follows.
-    Accepted,
-    Reply(Reply),
-    Refused(RefusedStatus),
-    /// A fault can't be acknowledged without an id: it is over, or a FAST STOP was found behind it.
-    NoFault,
-    FastStopped(FastStop),
-}
-
-impl PortReply {
-    /// The final reply of a command.
-    pub(super) fn of_end(command: &CommandReport) -> Self {
-        if let Some(rejection) = &command.rejection {
-            return Self::Refused(rejection.into());
-        }
-        match status_of_end(command) {
-            Status::E_SUCCESS => {
-                let answer = command.payload.as_deref().and_then(|payload| hex::decode(payload).ok());
-                Self::Reply(Reply::Success(answer.map_or(Data::None, Data::Custom)))
-            }
-            status => Self::Reply(Reply::Status(status)),
-        }
-    }
-}
 
 /// The FAST STOPs of one client. All that arrive while one is unanswered are combined into one more. Any number of FAST
 /// STOPs therefore costs two at most, and none is lost if the first is acknowledged meanwhile.
@@ -113,9 +56,12 @@ struct WaitingRequest {
     latched: Option<FastStopId>,
     /// Whether a FAST STOP of the same client had arrived before, and was unanswered.
     is_behind_fast_stop: bool,
+    /// Number of requests of a stream that this one has overtaken.
+    overtaken: usize,
 }
 
 #[derive(Debug)]
+#[allow(clippy::struct_excessive_bools, reason = "facts that are independent")]
 pub(super) struct VirtualDevice {
     custom_ids: Arc<CustomIds>,
     shortest_period_ms: u16,
@@ -136,6 +82,12 @@ pub(super) struct VirtualDevice {
     announced: bool,
     overflown: bool,
     acknowledges: AcknowledgeRight,
+    /// Whether the last request of this client ended with an error.
+    has_failed: bool,
+    /// Time at which the device answered the last change that this client knows of. The client sees no older value.
+    changed_at: Option<Instant>,
+    /// Updates that go with the query under way, whose value is being measured.
+    measured_updates: Updates,
 }
 
 impl VirtualDevice {
@@ -161,7 +113,10 @@ impl VirtualDevice {
             frames: VecDeque::new(),
             announced: false,
             overflown: false,
-            acknowledges: AcknowledgeRight::new(subject, rules.acknowledge_any),
+            acknowledges: AcknowledgeRight::new(subject, rules.acknowledge == AcknowledgePolicy::Any),
+            has_failed: false,
+            changed_at: None,
+            measured_updates: Updates::Off,
         }
     }
 
@@ -170,33 +125,38 @@ impl VirtualDevice {
         self.take_requests(now, state);
     }
 
+    /// Notes the end of a datagram, in which every frame is complete.
+    pub(super) fn end_datagram(&mut self, now: Instant, state: &State) {
+        self.input.end_datagram();
+        self.take_requests(now, state);
+    }
+
     pub(super) fn handle_timeout(&mut self, now: Instant, state: &State) {
         self.input.handle_timeout(now);
         self.take_requests(now, state);
         self.take_up(now, state);
-        let can_report = self.can_report();
-        let due = self.subscriptions.take_due(now, can_report, |id| value(id, state, now));
-        for (id, data) in due.into_iter().filter(|_| can_report) {
-            self.report(id, data, state);
-        }
-    }
-
-    /// Whether the client reads fast enough for updates.
-    fn can_report(&self) -> bool {
-        self.frames.len() < MAX_FRAMES_BEFORE_UPDATES
+        self.send_updates(now, state);
     }
 
     /// Handles the gripper's reply to an order.
     pub(super) fn answer(&mut self, now: Instant, ask: PortRequest, answer: PortReply, state: &State) {
         let is_last = answer != PortReply::Accepted;
+        if self.is_change(ask.id) {
+            self.changed_at = state.values.changed_at;
+        }
         match answer {
-            PortReply::Accepted => self.status(ask.id, Status::E_CMD_PENDING),
-            PortReply::Reply(reply) => self.reply(ask.id, &reply),
+            PortReply::Accepted => self.status_of_all(ask.id, Status::E_CMD_PENDING, ask.overtaken),
+            PortReply::Reply(Reply::Success(_)) if id::has_updates(ask.id) => self.measured(now, ask.id, state),
+            PortReply::Reply(reply) => {
+                for _ in 0..=ask.overtaken {
+                    self.reply(ask.id, &reply);
+                }
+            }
             PortReply::Refused(refusal) => {
                 if let Some(id) = refusal.fast_stop {
                     self.acknowledges.saw(id);
                 }
-                self.status(ask.id, refusal.status);
+                self.status_of_all(ask.id, refusal.status, ask.overtaken);
             }
             PortReply::NoFault if state.latch.is_some() => self.acknowledge(state),
             PortReply::NoFault => self.reply(ask.id, &Reply::Success(Data::None)),
@@ -242,8 +202,7 @@ impl VirtualDevice {
     }
 
     pub(super) fn poll_timeout(&self, now: Instant, state: &State) -> Option<Instant> {
-        let update = self.subscriptions.due(self.can_report(), |id| value(id, state, now));
-        self.input.deadline().into_iter().chain(update).min()
+        self.input.deadline().into_iter().chain(self.next_update(now, state)).min()
     }
 
     /// Whether every new state matters: for updates on change, or because a motion waits, which a FAST STOP withdraws.
@@ -310,11 +269,34 @@ impl VirtualDevice {
                 command => {
                     let latched = state.latch.as_ref().map(|latch| latch.fast_stop_id);
                     let is_behind_fast_stop = self.is_stopping();
-                    self.waiting.push_back(WaitingRequest { id, command, latched, is_behind_fast_stop });
+                    let request = WaitingRequest { id, command, latched, is_behind_fast_stop, overtaken: 0 };
+                    self.enqueue(request);
                 }
             }
             // Start what can be started before parsing the next request.
             self.take_up(now, state);
+        }
+    }
+
+    /// Lets a request wait for its turn. The newest of a stream takes the place of the older one that still waits, since it
+    /// has the client's present target. It answers that one, too.
+    fn enqueue(&mut self, mut request: WaitingRequest) {
+        let is_stream = self.custom_ids.stream.contains(&request.id) && request.command.is_ok();
+        let place = self.waiting.iter().rposition(|older| older.id == request.id && older.command.is_ok());
+        let Some(place) = place.filter(|_| is_stream) else { return self.waiting.push_back(request) };
+        // A motion in between keeps its place in the order.
+        let is_followed = self.waiting.range(place + 1..).any(|later| id::is_motion(later.id));
+        if is_followed {
+            return self.waiting.push_back(request);
+        }
+        let Some(older) = self.waiting.get_mut(place) else { return };
+        request.overtaken = older.overtaken + 1;
+        let id = request.id;
+        let is_too_many = request.overtaken > MAX_WAITING_REQUESTS;
+        request.overtaken = request.overtaken.min(MAX_WAITING_REQUESTS);
+        *older = request;
+        if is_too_many {
+            self.status(id, Status::E_CMD_ABORTED);
         }
     }
 
@@ -339,6 +321,12 @@ impl VirtualDevice {
         self.waiting = waiting;
     }
 
+    /// Whether a request of this id can change the device.
+    fn is_change(&self, id: u8) -> bool {
+        let stops = matches!(id, id::STOP | id::FAST_STOP | id::ACKNOWLEDGE_FAST_STOP);
+        stops || id::acts(id) && !self.custom_ids.read.contains(&id)
+    }
+
     /// Whether this id can move the fingers: a motion, or a script that is not listed as read-only.
     fn moves(&self, id: u8) -> bool {
         id::is_motion(id) || (id::describe(id).is_none() && !self.custom_ids.read.contains(&id))
@@ -359,13 +347,21 @@ impl VirtualDevice {
             self.withdraw_motions_if(|request| all || (request.latched != newest && !request.is_behind_fast_stop));
         }
         while self.awaited == 0
-            && let Some(WaitingRequest { id, command, .. }) = self.next_request()
+            && let Some(WaitingRequest { id, command, overtaken, .. }) = self.next_request()
         {
             match command {
                 // fw4-en 3.1.2: refused until the connection has ended.
-                _ if self.announced => self.refuse(id, Status::E_ACCESS_DENIED, Cause::Announced),
-                Ok(command) => self.execute(now, command, state),
-                Err(unusable) => self.refuse_unusable(id, unusable, state),
+                _ if self.announced => {
+                    for _ in 0..=overtaken {
+                        self.refuse(id, Status::E_ACCESS_DENIED, Cause::Announced);
+                    }
+                }
+                Ok(command) => self.execute(now, command, overtaken, state),
+                Err(unusable) => {
+                    for _ in 0..=overtaken {
+                        self.refuse_unusable(id, unusable, state);
+                    }
+                }
             }
         }
     }
@@ -374,7 +370,7 @@ impl VirtualDevice {
         if self.holds_a_motion_back() { None } else { self.waiting.pop_front() }
     }
 
-    fn execute(&mut self, now: Instant, command: Command, state: &State) {
+    fn execute(&mut self, now: Instant, command: Command, overtaken: usize, state: &State) {
         let id = command.id();
         match command {
             Command::GetSystemState(updates)
@@ -390,7 +386,8 @@ impl VirtualDevice {
             }
             command @ (Command::Custom(_) | Command::FingerPower { .. }) => {
                 // Streamed requests wait for one another.
-                self.order(id, self.custom_ids.stream.contains(&id), PortOrder::Exchange(command));
+                let is_awaited = self.custom_ids.stream.contains(&id);
+                self.order_for(PortRequest { id, is_awaited, overtaken }, PortOrder::Exchange(command));
             }
             command => {
                 let order = Action::of(&command).map_or_else(|| PortOrder::Exchange(command), PortOrder::Command);
@@ -416,32 +413,6 @@ impl VirtualDevice {
         }
     }
 
-    /// Answers a query. Switching updates on is answered, too, since some clients wait for the reply.
-    fn query(&mut self, now: Instant, id: u8, updates: Updates, state: &State) {
-        let updates = match updates {
-            Updates::Off => Updates::Off,
-            Updates::On { on_change, period_ms } => {
-                Updates::On { on_change, period_ms: period_ms.max(self.shortest_period_ms) }
-            }
-        };
-        let data = value(id, state, now);
-        self.subscriptions.set(id, updates, data.clone(), now);
-        match data {
-            Some(data) => self.report(id, data, state),
-            None if matches!(state.link, Link::Connected | Link::Unresponsive) => {
-                self.status(id, Status::E_NOT_AVAILABLE);
-            }
-            None => self.status(id, Status::E_IO_ERROR),
-        }
-    }
-
-    fn report(&mut self, id: u8, data: Data, state: &State) {
-        if let Some(latch) = state.latch.as_ref().filter(|_| tells_fast_stop(&data)) {
-            self.acknowledges.saw(latch.fast_stop_id);
-        }
-        self.reply(id, &Reply::Success(data));
-    }
-
     /// Acknowledges a FAST STOP if this client may clear it.
     fn acknowledge(&mut self, state: &State) {
         let id = id::ACKNOWLEDGE_FAST_STOP;
@@ -458,9 +429,13 @@ impl VirtualDevice {
     }
 
     fn order(&mut self, id: u8, is_awaited: bool, order: PortOrder) {
-        self.awaited += usize::from(is_awaited);
-        self.motions += usize::from(id::is_motion(id));
-        self.orders.push_back(PortOrdered { ask: PortRequest { id, is_awaited }, order });
+        self.order_for(PortRequest { id, is_awaited, overtaken: 0 }, order);
+    }
+
+    fn order_for(&mut self, ask: PortRequest, order: PortOrder) {
+        self.awaited += usize::from(ask.is_awaited);
+        self.motions += usize::from(id::is_motion(ask.id));
+        self.orders.push_back(PortOrdered { ask, order });
     }
 
     fn refuse(&mut self, id: u8, status: Status, cause: Cause) {
@@ -468,11 +443,25 @@ impl VirtualDevice {
         self.status(id, status);
     }
 
+    /// Answers a request, and those of a stream that it has overtaken.
+    fn status_of_all(&mut self, id: u8, status: Status, overtaken: usize) {
+        for _ in 0..=overtaken {
+            self.status(id, status);
+        }
+    }
+
     fn status(&mut self, id: u8, status: Status) {
         self.reply(id, &Reply::Status(status));
     }
 
     fn reply(&mut self, id: u8, reply: &Reply) {
+        self.send(id, reply);
+        if reply.status() != Status::E_CMD_PENDING {
+            self.has_failed = reply.status() != Status::E_SUCCESS;
+        }
+    }
+
+    fn send(&mut self, id: u8, reply: &Reply) {
         if self.frames.len() >= MAX_WAITING_FRAMES {
             self.overflown = true;
             return;

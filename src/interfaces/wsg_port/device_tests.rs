@@ -1,8 +1,8 @@
 use std::time::Duration;
 
 use super::*;
-use crate::gripper::model::{FastStopCause, LatchFields, Missing, Motion, Reason, Values};
-use crate::wsg::{Decoded, Decoder, GripperState, HomingDirection, SystemState};
+use crate::model::{FastStopCause, LatchFields, Missing, Motion, Reason, Values};
+use crate::wsg::{CustomCommand, Decoded, Decoder, GripperState, HomingDirection, SystemState};
 
 #[path = "acknowledge_tests.rs"]
 mod acknowledging;
@@ -10,17 +10,11 @@ mod acknowledging;
 mod values;
 
 fn rules() -> Rules {
-    Rules {
-        checksum_evaluation: true,
-        acknowledge_any: false,
-        allow: Vec::new(),
-        limits: super::super::port::AllowedLimits::All,
-    }
+    Rules::default()
 }
 
-/// One script that only reads and one that is streamed; all others are motions.
 fn custom_ids() -> CustomIds {
-    CustomIds { read: [0xB2].into(), stream: [0xB1].into() }
+    CustomIds { read: [0xB2].into(), stream: [0xB1].into(), ..CustomIds::default() }
 }
 
 fn state() -> State {
@@ -280,6 +274,30 @@ fn streamed_requests_are_serialised_and_aborted_by_stop() {
     assert_eq!(bench.order().ask.id, 0xB2, "a read-only script is not a motion");
     let aborted = Status::E_CMD_ABORTED;
     assert_eq!(bench.sent(), [(0xB1, Status::E_SUCCESS), (0xB1, aborted), (0xB0, aborted)]);
+}
+
+#[test]
+fn newest_request_of_a_stream_overtakes_the_waiting_ones() {
+    let mut bench = Bench::new();
+    for target in 0..200 {
+        bench.send(0xB1, &[target]);
+    }
+    bench.send(id::DISCONNECT_ANNOUNCEMENT, &[]);
+    let first = bench.order();
+    assert_eq!((&first.order, bench.device.poll_order()), (&stream(0), None));
+    bench.answer(first.ask, NOTHING);
+    let newest = bench.order();
+    assert_eq!(newest.order, stream(199), "the targets between are outdated");
+    bench.answer(newest.ask, NOTHING);
+    assert_eq!(bench.order().order, PortOrder::Release, "07h waits for one request, not for 199");
+    let replies = bench.sent();
+    assert_eq!(replies.len(), 200, "each request is answered");
+    let succeeded = replies.iter().filter(|reply| **reply == (0xB1, Status::E_SUCCESS)).count();
+    assert_eq!(succeeded, 2 + MAX_WAITING_REQUESTS);
+}
+
+fn stream(target: u8) -> PortOrder {
+    PortOrder::Exchange(Command::Custom(CustomCommand::new(0xB1, vec![target]).unwrap()))
 }
 
 #[test]

@@ -4,11 +4,12 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use super::device::{MAX_WAITING_FRAMES, PortReply, VirtualDevice};
-use super::port::{AllowedLimits, Rules};
+use super::device::{MAX_WAITING_FRAMES, VirtualDevice};
+use super::order::PortReply;
+use super::port::{AcknowledgePolicy, Rules};
 use super::status::RefusedStatus;
 use crate::gripper::FastStop;
-use crate::gripper::model::{CustomIds, FastStopCause, FastStopId, LatchFields, Link, Name, Reason, State, Values};
+use crate::model::{CustomIds, FastStopCause, FastStopId, LatchFields, Link, Name, Reason, State, Values};
 use crate::wsg::{ChecksumEvaluation, Data, Decoded, Decoder, GripperState, Reply, Status, SystemState, frame, id};
 
 /// Checks a client's session. Each frame for the client is valid, their number is bounded, and a FAST STOP at the end
@@ -16,12 +17,8 @@ use crate::wsg::{ChecksumEvaluation, Data, Decoded, Decoder, GripperState, Reply
 /// byte selects a step.
 pub(crate) fn session(data: &[u8]) {
     let Some((&rules, mut steps)) = data.split_first() else { return };
-    let rules = Rules {
-        checksum_evaluation: rules % 2 == 1,
-        acknowledge_any: rules & 2 == 2,
-        allow: Vec::new(),
-        limits: AllowedLimits::All,
-    };
+    let acknowledge = if rules & 2 == 2 { AcknowledgePolicy::Any } else { AcknowledgePolicy::Own };
+    let rules = Rules { checksum_evaluation: rules % 2 == 1, acknowledge, ..Rules::default() };
     let Some((mut device, mut state)) = connected(&rules) else { return };
     nested(&rules, steps);
     let (mut now, mut orders) = (Instant::now(), VecDeque::new());
@@ -55,6 +52,7 @@ pub(crate) fn session(data: &[u8]) {
                 device.answer(now, asked, reply, &state);
             }
             224..240 => {
+                state.values.changed_at = Some(now);
                 state.latch = (step % 2 == 1).then(|| LatchFields {
                     fast_stop_id: FastStopId::generate(),
                     fast_stop_by: "device".into(),
@@ -90,7 +88,7 @@ pub(crate) fn session(data: &[u8]) {
 
 fn connected(rules: &Rules) -> Option<(VirtualDevice, State)> {
     let name = "g".parse::<Name>().ok()?;
-    let custom_ids = CustomIds { read: [0xB2].into(), stream: [0xB1].into() };
+    let custom_ids = CustomIds { read: [0xB2].into(), stream: [0xB1].into(), ..CustomIds::default() };
     let device = VirtualDevice::new("wsg:10.0.0.1".into(), rules, Arc::new(custom_ids), 10);
     let values = Values::fixed(SystemState::REFERENCED, GripperState::Idle, [20.0, 0.0, 0.0]);
     let state = State { link: Link::Connected, values, ..State::unknown(name) };

@@ -84,6 +84,11 @@ impl PortInput {
         })
     }
 
+    /// Drops an incomplete frame at the end of a datagram.
+    pub(super) fn end_datagram(&mut self) {
+        self.decoder.end_datagram();
+    }
+
     /// Returns the time at which the rest of a frame counts as lost.
     pub(super) fn deadline(&self) -> Option<Instant> {
         self.decoder.deadline().filter(|_| !self.is_garbage())
@@ -242,6 +247,33 @@ mod tests {
             input.push(until, &frame(id::FAST_STOP, &[]));
             assert_eq!(all(&mut input), slice(&fast_stop), "without a pause, too");
         }
+    }
+
+    /// Requests in a datagram.
+    fn datagram(input: &mut PortInput, now: Instant, bytes: &[u8]) -> Vec<(u8, Result<Command, Unusable>)> {
+        input.push(now, bytes);
+        let mut found = all(input);
+        input.end_datagram();
+        found.extend(all(input));
+        found
+    }
+
+    #[test]
+    fn datagram_cut_short_hides_no_further_ones() {
+        let mut input = PortInput::new(ChecksumEvaluation::On);
+        let now = Instant::now();
+        for id in [id::LOOP, id::GET_SYSTEM_STATE, 0xB5] {
+            let long = frame(id, &[&[0; 10][..], &motion(), &[0; 200]].concat());
+            for end in [4, 10, 100] {
+                assert_eq!(datagram(&mut input, now, &long[..end]), [], "{id:02X}h cut at {end}");
+                assert_eq!(input.deadline(), None);
+                let next = datagram(&mut input, now, &frame(id::GET_SYSTEM_INFO, &[]));
+                assert_eq!(next, [(id::GET_SYSTEM_INFO, Ok(Command::GetSystemInfo))], "{id:02X}h cut at {end}");
+            }
+        }
+        let with_stop = [&frame(id::LOOP, &[0; 99])[..40], &frame(id::FAST_STOP, &[])].concat();
+        let found = datagram(&mut input, now, &with_stop);
+        assert_eq!(found, [(id::FAST_STOP, Ok(Command::FastStop))], "a stop too many does less harm");
     }
 
     fn slice<T>(one: &T) -> &[T] {

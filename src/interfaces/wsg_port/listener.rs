@@ -28,11 +28,17 @@ impl ListenAddress {
         }
     }
 
+    /// Address of the socket.
+    #[must_use]
+    pub fn socket(&self) -> SocketAddr {
+        let (Self::Tcp(address) | Self::Udp(address, _)) = self;
+        *address
+    }
+
     /// Whether the system chooses the port.
     #[must_use]
     pub fn is_any_port(&self) -> bool {
-        let (Self::Tcp(address) | Self::Udp(address, _)) = self;
-        address.port() == 0
+        self.socket().port() == 0
     }
 }
 

@@ -16,6 +16,7 @@ pub(crate) mod fuzz;
 mod input;
 mod listener;
 mod opening;
+mod order;
 mod port;
 mod refusals;
 mod rights;
@@ -26,5 +27,5 @@ mod unreachable;
 mod values;
 
 pub use listener::{ListenAddress, Listener, serve};
-pub use port::{AllowedLimits, LOST_AFTER, Port, Rules};
+pub use port::{AcknowledgePolicy, LOST_AFTER, LimitsPolicy, Port, Rules};
 pub use udp::Datagrams;

@@ -5,40 +5,86 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use ipnet::IpNet;
+use serde::Deserialize;
 use tokio_util::sync::CancellationToken;
 
 use crate::access::Access;
 use crate::gripper::Handle;
-use crate::gripper::model::{Client, Door};
 use crate::interfaces::admission::{Admission, Bounds, ConnectionPermit};
 use crate::interfaces::metrics::WsgPortMetrics;
+use crate::interfaces::networks::networks;
 use crate::interfaces::peers::KnownPeers;
 use crate::interfaces::sockets;
+use crate::model::{Client, Door};
 use crate::operations::audit::Audit;
+use crate::settings::{FileSection, SettingValue, flag, parsed, plain, settings};
 
 /// Silence after which a client's lease is lost: no TCP acknowledgements, or no datagrams unless configured otherwise.
 pub const LOST_AFTER: Duration = sockets::LOST_AFTER;
 
-#[derive(Debug, Clone, PartialEq)]
-pub struct Rules {
-    /// Whether the checksums of requests are checked.
-    pub checksum_evaluation: bool,
-    /// Whether every client may acknowledge every FAST STOP.
-    pub acknowledge_any: bool,
-    /// Networks that may connect. If empty: known clients and loopback, or every client if the gateway needs no
-    /// credentials (see [`KnownPeers::allows`]).
-    pub allow: Vec<IpNet>,
-    /// Limits of the gripper that clients may change.
-    pub limits: AllowedLimits,
+settings! {
+    /// Rules of the WSG ports of a gripper.
+    pub struct Rules {
+        /// Addresses that can connect to the WSG port, such as `192.168.1.7` or `192.168.1.0/24`.
+        // If empty: known clients and loopback, or every client if the gateway needs no credentials (see
+        // `KnownPeers::allows`).
+        pub allow: Vec<IpNet> = "wsg_port_allow", networks(
+            "all addresses; with credentials, [loopback and known clients](access.md#clients-that-cannot-send-a-header)",
+            "[\"192.168.1.0/24\"]",
+        ), Reload;
+        /// FAST STOPs that a driver can acknowledge: `own` or `any`.
+        pub acknowledge: AcknowledgePolicy = "wsg_port_acknowledge",
+            plain(AcknowledgePolicy::Own, "\"own\"", "`\"own\"`, `\"any\"`"), Reload;
+        /// Whether checksums are checked. With `false`, the gateway accepts any checksum from WSG port clients.
+        pub checksum_evaluation: bool = "wsg_port_checksum_evaluation", flag(true), Reload;
+        /// Limits of the gripper that drivers may change: `open` or `fixed`.
+        pub limits: LimitsPolicy = "wsg_port_limits", plain(LimitsPolicy::Open, "\"open\"", "`\"open\"`, `\"fixed\"`")
+            .shown("`\"open\"`", "\"fixed\""), Reload;
+        /// Highest force limit in N that WSG port clients may set while `wsg_port_limits` is `"fixed"`.
+        pub max_force_n: Option<f32> = "wsg_port_max_force_n", max_force(), Reload;
+        check Rules::check;
+    }
 }
 
-/// Limits of the gripper that clients may change.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum AllowedLimits {
-    All,
-    /// A force limit up to this value. No soft limits, and no Overdrive Mode.
-    ForceUpTo(f32),
-    None,
+/// FAST STOPs that a client may acknowledge with 24h.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum AcknowledgePolicy {
+    /// A FAST STOP that the client has seen, and that the client or the device caused.
+    Own,
+    /// Any FAST STOP.
+    Any,
+}
+
+/// Limits of the gripper that clients may change. Existing drivers set the force limit at each start, so by default they
+/// may change all of them, like on the gripper itself.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LimitsPolicy {
+    /// All of them.
+    Open,
+    /// No soft limits, no Overdrive Mode, and no force limit above `max_force_n`. Without that, no force limit.
+    Fixed,
+}
+
+/// A force, like those on the line.
+fn max_force() -> SettingValue<Option<f32>> {
+    let parse = |force_n: f64| match force_n as f32 {
+        force_n if force_n.is_finite() && force_n > 0.0 => Ok(Some(force_n)),
+        force_n => Err(format!("is {force_n}; it must be a force in N above 0")),
+    };
+    let default = "none: with `\"fixed\"`, every Set Force Limit (32h) is refused";
+    parsed(None, "", "above 0", parse).shown(default, "40")
+}
+
+impl Rules {
+    fn check(&self, section: &mut FileSection<'_>) {
+        if self.max_force_n.is_some() && self.limits == LimitsPolicy::Open {
+            let key = "wsg_port_max_force_n";
+            let remedy = "add wsg_port_limits = \"fixed\"";
+            section.fail(key, format_args!("{key} has no effect while clients may change all limits: {remedy}"));
+        }
+    }
 }
 
 #[derive(Debug)]

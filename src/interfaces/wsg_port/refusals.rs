@@ -5,8 +5,8 @@ use std::collections::BTreeSet;
 
 use super::input::Unusable;
 use super::port::Port;
-use crate::gripper::model::Client;
 use crate::gripper::{Conflict, Invalid, Rejection};
+use crate::model::Client;
 use crate::operations::audit::RefusedRequest;
 use crate::wsg::{Status, id};
 
@@ -77,6 +77,7 @@ fn remedy(id: u8, rejection: &Rejection) -> &'static str {
                 "remove the cause of the FAST STOP, and acknowledge it with 24h, over HTTP or on the dashboard"
             }
             Conflict::LeaseHeld { .. }
+            | Conflict::Reserved { .. }
             | Conflict::LeaseBound { .. }
             | Conflict::LeaseTokenMissing { .. }
             | Conflict::LeaseRequested { .. }
@@ -89,9 +90,10 @@ fn remedy(id: u8, rejection: &Rejection) -> &'static str {
             }
             Conflict::NotReferenced => "home the gripper first (20h)",
             Conflict::SettingsLost { .. } => "set the lost settings again (30h, 32h, 34h)",
-            Conflict::AlreadyRunning { .. } | Conflict::FingersMove | Conflict::RequestIdReused => {
-                "wait for the end of the motion, or send a Stop (22h) first"
-            }
+            Conflict::AlreadyRunning { .. }
+            | Conflict::FingersMove
+            | Conflict::RequestIdReused
+            | Conflict::UnknownPast => "wait for the end of the motion, or send a Stop (22h) first",
         },
         Rejection::Device(_) => "look up the gripper's status in its manual",
         Rejection::Failure(_) => "remove the cause, and repeat the request",

@@ -2,11 +2,11 @@
 
 use std::net::IpAddr;
 
-use super::device::PortOrder;
-use super::port::{AllowedLimits, Port};
+use super::order::PortOrder;
+use super::port::{LimitsPolicy, Port, Rules};
 use super::refusals::Cause;
 use crate::access::Right;
-use crate::gripper::model::Action;
+use crate::model::Action;
 use crate::wsg::Command;
 
 /// Checks whether a client may give an order. A FAST STOP, a read and the end of a lease need no right. The list of
@@ -17,7 +17,7 @@ pub(super) fn check(port: &Port, client: IpAddr, order: &PortOrder) -> Result<()
         PortOrder::Command(Action::Stop) => Right::Stop,
         PortOrder::Exchange(Command::Custom(custom)) if port.gripper.only_reads(custom.id()) => return Ok(()),
         PortOrder::Exchange(command) if command.is_read() => return Ok(()),
-        PortOrder::Exchange(command) if !allows_limit(port.rules.limits, command) => return Err(Cause::Limits),
+        PortOrder::Exchange(command) if !allows_limit(&port.rules, command) => return Err(Cause::Limits),
         _ => Right::Operate,
     };
     let is_allowed = match port.peers.identity(client) {
@@ -28,14 +28,10 @@ pub(super) fn check(port: &Port, client: IpAddr, order: &PortOrder) -> Result<()
 }
 
 /// Whether clients may send a command that changes a limit. Overdrive Mode can always be switched off.
-fn allows_limit(allowed: AllowedLimits, command: &Command) -> bool {
-    let max_force_n = match allowed {
-        AllowedLimits::All => return true,
-        AllowedLimits::ForceUpTo(max_force_n) => Some(max_force_n),
-        AllowedLimits::None => None,
-    };
+fn allows_limit(rules: &Rules, command: &Command) -> bool {
     match command {
-        Command::SetForceLimit(force) => max_force_n.is_some_and(|max_force_n| force.n() <= max_force_n),
+        _ if rules.limits == LimitsPolicy::Open => true,
+        Command::SetForceLimit(force) => rules.max_force_n.is_some_and(|max_force_n| force.n() <= max_force_n),
         Command::SetSoftLimits(_) | Command::ClearSoftLimits => false,
         Command::OverdriveMode { on } => !on,
         _ => true,

@@ -1,7 +1,7 @@
 //! Statuses of refused requests: every [`Rejection`] as a status of the manual.
 
-use crate::gripper::model::{CommandReport, FastStopId, Outcome};
 use crate::gripper::{Conflict, DeviceRefusal, Failure, Invalid, Rejection};
+use crate::model::{CommandReport, FastStopId, Outcome};
 use crate::wsg::Status;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -32,6 +32,7 @@ fn status_of(rejection: &Rejection) -> Status {
             | Conflict::StaleFastStop { .. }
             | Conflict::FastStopUnconfirmed { .. }
             | Conflict::LeaseHeld { .. }
+            | Conflict::Reserved { .. }
             | Conflict::LeaseBound { .. }
             | Conflict::LeaseTokenMissing { .. }
             | Conflict::LeaseRequested { .. }
@@ -40,7 +41,9 @@ fn status_of(rejection: &Rejection) -> Status {
                 Status::E_ALREADY_RUNNING
             }
             Conflict::NotReferenced | Conflict::SettingsLost { .. } => Status::E_NOT_INITIALIZED,
-            Conflict::FastStopPersists { .. } | Conflict::RequestIdReused => Status::E_CMD_FAILED,
+            Conflict::FastStopPersists { .. } | Conflict::RequestIdReused | Conflict::UnknownPast => {
+                Status::E_CMD_FAILED
+            }
         },
         Rejection::Device(DeviceRefusal { status, .. }) => *status,
         Rejection::Failure(failure) => match failure {

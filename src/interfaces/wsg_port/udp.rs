@@ -23,8 +23,8 @@ use tokio_util::sync::CancellationToken;
 use super::client::Served;
 use super::port::Port;
 use super::unreachable::{self, DeliveryError, Outage};
-use crate::gripper::clock;
 use crate::interfaces::admission;
+use crate::model::clock;
 use crate::wsg::Opening;
 
 /// Settings for UDP clients.

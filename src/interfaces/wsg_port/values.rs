@@ -2,17 +2,23 @@
 
 use std::time::Instant;
 
-use crate::gripper::model::State;
+use crate::model::State;
 use crate::wsg::{Data, GripperState, SystemState, Width, id};
 
-/// Returns the value of a getter, unless it is unknown.
-pub(super) fn value(id: u8, state: &State, now: Instant) -> Option<Data> {
+/// Returns the value of a getter for a client, unless it is unknown. `has_failed` is true if the client's last request
+/// ended with an error.
+pub(super) fn value(id: u8, state: &State, now: Instant, has_failed: bool) -> Option<Data> {
     let values = &state.values;
     match id {
         id::GET_SYSTEM_STATE => {
+            let mut flags = values.flags(now)?;
             // The latch holds for clients even if the device has forgotten the FAST STOP or has not received it yet.
-            let latched = if state.latch.is_some() { SystemState::FAST_STOP } else { SystemState::empty() };
-            values.flags(now).map(|flags| Data::SystemState(flags | latched))
+            if state.latch.is_some() {
+                flags.insert(SystemState::FAST_STOP);
+            }
+            // The device's own flag is about the gateway's last request, whoever caused it.
+            flags.set(SystemState::CMD_FAILURE, has_failed);
+            Some(Data::SystemState(flags))
         }
         id::GET_GRIPPER_STATE => values.state(now).map(Data::GripperState),
         // 0 unless referenced (`fw4-en 3.4.4`).

@@ -2,7 +2,7 @@
 
 use crate::access::{Access, ClientOrigin, Credential, Identity, Unauthorized};
 use crate::fleet::keys::MAX_CLIENT_BYTES;
-use crate::gripper::model::{Client, Door, ShownName};
+use crate::model::{Client, Door, ShownName};
 
 /// Returns a client by the name that it claims. A client with a token is named after its token instead.
 pub fn client(name: Option<&ShownName<MAX_CLIENT_BYTES>>) -> Client {

@@ -24,8 +24,8 @@ use zenoh::session::{TransportEvent, ZenohId};
 use super::client::identity;
 use crate::access::{Access, Credential, Right};
 use crate::fleet::keys::{ZenohKeys, last_part};
-use crate::gripper::model::{LossCause, Name};
 use crate::interfaces::metrics::{Connected, InterfaceMetrics};
+use crate::model::{LossCause, Name};
 use crate::operations::ConnectionLease;
 
 /// Maximum number of concurrent queries of each kind: waiting, not waiting, stopping, and keeping or ending a lease.

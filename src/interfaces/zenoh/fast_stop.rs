@@ -1,15 +1,20 @@
-//! FAST STOP via a put: any payload stops. A FAST STOP shares no queue with other traffic.
+//! FAST STOP via a put: any payload stops. A FAST STOP shares no queue with other traffic. A delete is not a FAST STOP:
+//! `delete wsg/**` clears the storages of a network, and matches these keys too.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
 use serde_json::Value;
 use tokio::runtime::Handle;
-use zenoh::sample::Sample;
+use zenoh::sample::{Sample, SampleKind};
 
 use super::client::client;
 use crate::fleet::keys::{FAST_STOP_OF_ALL, ZenohKeys};
 use crate::gripper::Grippers;
-use crate::gripper::model::{Client, Reason, ShownName};
+use crate::interfaces::metrics::InterfaceMetrics;
+use crate::model::{Client, Code, Reason, ShownName, without_byte_order_mark};
+
+/// Last part of the keys, and the route in the metrics.
+const FAST_STOP: &str = "fast-stop";
 
 /// Maximum number of concurrent FAST STOPs, each of which ends within 250 ms. Beyond it only the newest is kept, which
 /// starts when one has ended: the grippers are already being stopped.
@@ -23,6 +28,7 @@ const MAX_REASON_BYTES: usize = 1024;
 pub struct FastStops {
     fleet: Grippers,
     clients: Handle,
+    metrics: InterfaceMetrics,
     under_way: Arc<Mutex<UnderWay>>,
 }
 
@@ -34,21 +40,31 @@ struct UnderWay {
 
 impl FastStops {
     /// Returns the FAST STOPs of these grippers, on the interfaces' runtime.
-    pub fn new(fleet: Grippers, clients: Handle) -> Self {
-        Self { fleet, clients, under_way: Arc::default() }
+    pub fn new(fleet: Grippers, clients: Handle, metrics: InterfaceMetrics) -> Self {
+        Self { fleet, clients, metrics, under_way: Arc::default() }
     }
 
-    /// Subscribes to puts for this gateway and for all gateways.
+    /// Subscribes to the keys of this gateway and of all gateways.
     pub async fn declare(self, session: &zenoh::Session, keys: &ZenohKeys) -> zenoh::Result<()> {
-        for key in [keys.own("fast-stop"), FAST_STOP_OF_ALL.to_owned()] {
+        for key in [keys.own(FAST_STOP), FAST_STOP_OF_ALL.to_owned()] {
             let stops = self.clone();
-            let stop = move |sample: Sample| {
-                let (client, reason) = asked(&sample.payload().to_bytes());
-                stops.begin(client, reason);
-            };
-            session.declare_subscriber(key).callback(stop).background().await?;
+            session.declare_subscriber(key).callback(move |sample| stops.receive(&sample)).background().await?;
         }
         Ok(())
+    }
+
+    fn receive(&self, sample: &Sample) {
+        match sample.kind() {
+            SampleKind::Put => {
+                let (client, reason) = asked(&sample.payload().to_bytes());
+                self.begin(client, reason);
+            }
+            SampleKind::Delete => {
+                self.metrics.answered(Some(FAST_STOP), "DELETE", Code::MethodNotAllowed.http_status());
+                let key = sample.key_expr().as_str();
+                tracing::warn!(key, "Zenoh delete ignored: only a put is a FAST STOP");
+            }
+        }
     }
 
     /// Stops all grippers without waiting.
@@ -84,7 +100,7 @@ impl FastStops {
 /// Returns client and reason of a payload: the fields `client` and `reason` of an object, or plain text as the reason.
 fn asked(payload: &[u8]) -> (Client, Reason) {
     let payload = payload.get(..MAX_REASON_BYTES).unwrap_or(payload);
-    let text = String::from_utf8_lossy(payload);
+    let text = String::from_utf8_lossy(without_byte_order_mark(payload));
     let (name, reason) = match serde_json::from_str(&text) {
         Ok(Value::Object(body)) => {
             let field = |name: &str| body.get(name).and_then(Value::as_str).unwrap_or_default().to_owned();
@@ -99,6 +115,8 @@ fn asked(payload: &[u8]) -> (Client, Reason) {
 
 #[cfg(test)]
 mod tests {
+    use prometheus::Registry;
+
     use super::*;
     use crate::gripper::fake::{self, FakeScript, Seen};
 
@@ -108,6 +126,7 @@ mod tests {
             (&br#"{"reason": "light curtain"}"#[..], "light curtain"),
             (br#""light curtain""#, "light curtain"),
             (b"light curtain", "light curtain"),
+            (b"\xEF\xBB\xBF{\"reason\": \"light curtain\"}", "light curtain"),
             (b"", ""),
             (b"{\"reason\": 7}", ""),
             (b"\xFF\x00", "\u{FFFD}"),
@@ -123,7 +142,8 @@ mod tests {
     #[tokio::test]
     async fn newest_fast_stop_beyond_the_limit_runs() {
         let (handle, mut seen) = fake::gripper("left", FakeScript::default());
-        let stops = FastStops::new(Grippers::new([handle]), Handle::current());
+        let metrics = InterfaceMetrics::register(&Registry::new(), "zenoh").unwrap();
+        let stops = FastStops::new(Grippers::new([handle]), Handle::current(), metrics);
         for index in 0..=2 * MAX_UNDER_WAY {
             stops.begin(asked(b"").0, Reason::truncated(&index.to_string()));
         }

@@ -138,7 +138,8 @@ async fn declare(session: &zenoh::Session, context: &Context, max_hz: u32) -> ze
     let Context { gateway, runtimes, metrics, .. } = context;
     let keys = ZenohKeys::of(&gateway.name);
     // FAST STOP comes first, since fingers can already be moving.
-    FastStops::new(gateway.grippers.clone(), runtimes.accept.clone()).declare(session, &keys).await?;
+    let stops = FastStops::new(gateway.grippers.clone(), runtimes.accept.clone(), metrics.clone());
+    stops.declare(session, &keys).await?;
     let clients = Arc::new(Clients::new(keys.clone(), Handle::current(), metrics.clone(), gateway.access.clone()));
     clients.declare(session).await?;
     let alive = gateway.peers.join(session).await?;

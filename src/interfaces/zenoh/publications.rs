@@ -14,9 +14,9 @@ use zenoh::qos::{CongestionControl, Priority};
 use crate::events::{Notification, Pace, Topic};
 use crate::fleet::keys::ZenohKeys;
 use crate::gripper::Handle;
-use crate::gripper::model::{Link, State};
 use crate::interfaces::Context;
 use crate::journal::{Filter, Stored, StreamItem};
+use crate::model::{Link, State};
 
 /// Interval at which an unchanged state is repeated. Subscribers can detect a lost gateway by its silence, and a
 /// dropped state is replaced.

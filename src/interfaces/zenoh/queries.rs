@@ -23,15 +23,16 @@ use super::clients::{Bond, Clients, MAX_QUERIES};
 use crate::access::{Credential, Identity, Right, Unauthorized};
 use crate::fleet::keys::{COMMAND, ZenohKeys, decoded, last_part};
 use crate::fleet::{EVENTS, GRIPS, READINESS, TOKEN};
-use crate::gripper::model::{Client, Door, Name, Text, Urgency};
 use crate::interfaces::metrics::InterfaceMetrics;
-use crate::operations::json::{self, MAX_BODY_BYTES, StrictJson};
+use crate::model::{Client, Door, Name, Text, Urgency};
+use crate::operations::json::{self, MAX_BODY_BYTES};
+use crate::operations::nearest::did_you_mean;
 use crate::operations::readiness::Readiness;
 use crate::operations::records::RecordList;
 use crate::operations::values::{name, text};
 use crate::operations::{
-    self, Caller, Code, Effect, Gateway, MAX_LEASE_BYTES, OperationReply, Presence, Problem, Wait, is_fast_stop, lease,
-    named, statistics, teach, urgency,
+    self, Caller, Code, Effect, Gateway, MAX_LEASE_BYTES, Method, Operation, OperationReply, Presence, Problem, Wait,
+    fleet, grippers, lease, statistics, teach,
 };
 
 /// Maximum number of concurrent FAST STOP queries of one gripper, each of which ends within 250 ms. More are refused,
@@ -58,7 +59,7 @@ const REQUEST_ID: &str = "request_id";
 const RECORD_READS: [&str; 2] = [statistics::STATISTICS.name, teach::TEACH.name];
 
 /// Reads of a gripper besides its commands.
-const GRIPPER_READS: [&str; 2] = ["state", "info"];
+const GRIPPER_READS: [&Operation; 2] = [&grippers::STATE, &grippers::INFO];
 
 /// Field that names the gripper, like the key.
 const GRIPPER: &str = "gripper";
@@ -94,7 +95,7 @@ pub struct Queries {
 #[derive(Debug)]
 struct ParsedQuery {
     key: String,
-    method: String,
+    method: Method,
     params: Map<String, Value>,
     wait_ms: Option<String>,
     /// Lease token from the selector.
@@ -137,11 +138,11 @@ impl Queries {
         session: &zenoh::Session,
         gripper: &Name,
     ) -> zenoh::Result<[Queryable<()>; 3]> {
-        let read = |what| {
-            let (queries, key) = (self.clone(), self.keys.gripper(gripper, what));
+        let read = |operation: &'static Operation| {
+            let (queries, key) = (self.clone(), self.keys.gripper(gripper, operation.name));
             let params = Map::from_iter([(GRIPPER.to_owned(), gripper.as_str().into())]);
             let answered = key.clone();
-            let answer = move |query: Query| queries.read(query, answered.clone(), what, params.clone());
+            let answer = move |query: Query| queries.read(query, answered.clone(), operation, params.clone());
             session.declare_queryable(key).callback(answer)
         };
         let (queries, name, key) = (self.clone(), gripper.clone(), self.keys.command(Some(gripper), "*"));
@@ -162,14 +163,14 @@ impl Queries {
         let answer = move |query: Query| queries.command(query, None);
         session.declare_queryable(self.keys.command(None, "*")).callback(answer).background().await?;
         let (queries, key) = (self.clone(), self.keys.own("fleet"));
-        let answer = move |query: Query| queries.read(query, queries.keys.own("fleet"), "fleet", Map::new());
+        let answer = move |query: Query| queries.read(query, queries.keys.own("fleet"), &fleet::LIST, Map::new());
         session.declare_queryable(key).callback(answer).background().await
     }
 
-    fn read(self: &Arc<Self>, query: Query, key: String, what: &'static str, params: Map<String, Value>) {
+    fn read(self: &Arc<Self>, query: Query, key: String, operation: &'static Operation, params: Map<String, Value>) {
         let asked = ParsedQuery {
             key,
-            method: what.to_owned(),
+            method: operation.into(),
             params,
             wait_ms: None,
             lease: None,
@@ -214,27 +215,32 @@ impl Queries {
     /// Answers a query for a command of a gripper, or of the gateway itself.
     fn command(self: &Arc<Self>, query: Query, gripper: Option<&Name>) {
         let key = query.key_expr().as_str();
-        if gripper.is_none() && !is_of_gateway(key) && !is_fast_stop(last_part(key)) {
+        let method = Method::named(last_part(key)).ok();
+        if gripper.is_none() && !is_of_gateway(key) && !method.is_some_and(Method::is_fast_stop) {
             return;
         }
-        let asked = self.asked(&query, gripper);
+        let asked = self.asked(&query, gripper, method);
         self.answer(query, asked);
     }
 
     /// Parses a query for a command. A FAST STOP is accepted whatever its parameters.
-    fn asked(&self, query: &Query, gripper: Option<&Name>) -> Result<ParsedQuery, Problem> {
-        let method = last_part(query.key_expr().as_str()).to_owned();
-        let is_fast_stop = is_fast_stop(&method);
-        let key = self.keys.command(gripper, &method);
-        if (key != query.key_expr().as_str() || method.contains('*')) && !is_fast_stop {
+    fn asked(&self, query: &Query, gripper: Option<&Name>, method: Option<Method>) -> Result<ParsedQuery, Problem> {
+        let name_in_key = last_part(query.key_expr().as_str());
+        let key = self.keys.command(gripper, name_in_key);
+        let is_exact = key == query.key_expr().as_str() && !name_in_key.contains('*');
+        if !is_exact && !method.is_some_and(Method::is_fast_stop) {
             let detail = "the key of a command must name exactly one gateway, and one gripper for a gripper's command: only \
                           FAST STOPs can have wildcards";
             return Err(Problem::malformed("key", detail));
         }
-        if !named(&method).any(|operation| operation.is_of_gripper() == gripper.is_some()) {
-            return Err(Problem::not_found("such command; /api/v1/asyncapi.yaml lists all commands"));
-        }
-        if self.gateway.peers.has_twin() && urgency(&method) == Urgency::None {
+        let is_here = |operation: &Operation| operation.is_of_gripper() == gripper.is_some();
+        let Some(method) = method.filter(|method| method.operations().any(is_here)) else {
+            let here = operations::all().filter(|operation| is_here(operation));
+            let suggestion = did_you_mean(name_in_key, here.map(|operation| operation.name));
+            let detail = format!("such command{suggestion}; /api/v1/asyncapi.yaml lists all commands");
+            return Err(Problem::not_found(detail));
+        };
+        if self.gateway.peers.has_twin() && method.urgency() == Urgency::None {
             let detail = "another gateway on the Zenoh network has the same name and would also run this command: give \
                           each its own --name";
             return Err(Problem::new(Code::NameTaken, detail));
@@ -242,22 +248,21 @@ impl Queries {
         let payload = query.payload().map(zenoh::bytes::ZBytes::to_bytes).unwrap_or_default();
         let given = |key| query.parameters().get(key).filter(|given| !given.is_empty()).map(decoded);
         let client_name = given(CLIENT).map(|given| name(CLIENT, &given)).transpose();
-        let ignores_mistakes = named(&method).any(|operation| operation.ignores_mistakes);
-        let (mut params, client_name) = if is_fast_stop {
-            let params = (payload.len() <= MAX_BODY_BYTES).then(|| json::parse(&payload).ok()).flatten();
-            (params.unwrap_or_default(), client_name.unwrap_or_default())
-        } else if ignores_mistakes {
+        let ignores_mistakes = method.shared().ignores_mistakes;
+        let (mut params, client_name) = if ignores_mistakes {
             (body(&payload).unwrap_or_default(), client_name.unwrap_or_default())
         } else {
             (body(&payload)?, client_name?)
         };
         if let Some(gripper) = gripper {
             let other = params.insert(GRIPPER.to_owned(), gripper.as_str().into());
-            if !ignores_mistakes && other.is_some_and(|other| other != gripper.as_str()) {
+            let differs = other.is_some_and(|other| !other.is_null() && other != gripper.as_str());
+            if !ignores_mistakes && differs {
                 return Err(Problem::malformed(GRIPPER, "gripper differs from the gripper in the key"));
             }
         }
-        let zid = given(ZID).filter(|_| method == lease::TAKE.name).map(|zid| session_id(&zid)).transpose()?;
+        let zid =
+            given(ZID).filter(|_| method == Method::from(&lease::TAKE)).map(|zid| session_id(&zid)).transpose()?;
         Ok(ParsedQuery {
             key,
             method,
@@ -277,7 +282,7 @@ impl Queries {
         let slot = slots.try_acquire_owned().ok();
         let queries = self.clone();
         self.runtime.spawn(async move {
-            let is_fast_stop = asked.as_ref().is_ok_and(|asked| is_fast_stop(&asked.method));
+            let is_fast_stop = asked.as_ref().is_ok_and(|asked| asked.method.is_fast_stop());
             let (key, result) = match asked {
                 _ if slot.is_none() => {
                     tracing::warn!(key = %query.key_expr(), "Zenoh query refused: too many in progress");
@@ -301,8 +306,8 @@ impl Queries {
     fn slots_for(&self, asked: &ParsedQuery) -> Arc<Semaphore> {
         let gripper = asked.params.get(GRIPPER).and_then(Value::as_str).unwrap_or_default();
         let holders = asked.lease().and_then(|lease| self.clients.slots_of(gripper, lease)).unwrap_or_default();
-        let is_command = named(&asked.method).any(|operation| operation.starts_command);
-        let (holders, all) = match urgency(&asked.method) {
+        let is_command = asked.method.shared().starts_command;
+        let (holders, all) = match asked.method.urgency() {
             Urgency::FastStop => {
                 let name = gripper.parse().ok().filter(|name| self.gateway.grippers.get(name).is_some());
                 let Some(name) = name else { return self.fast_stop_all_slots.clone() };
@@ -311,7 +316,7 @@ impl Queries {
             }
             Urgency::Stop => (holders.stops, &self.stop_slots),
             Urgency::Lease => (holders.others, &self.lease_slots),
-            Urgency::None if RECORD_READS.contains(&asked.method.as_str()) => return self.record_slots.clone(),
+            Urgency::None if RECORD_READS.contains(&asked.method.name()) => return self.record_slots.clone(),
             Urgency::None if asked.wait_ms.is_some() || is_command => (holders.waiting, &self.waiting_slots),
             Urgency::None => (holders.others, &self.slots),
         };
@@ -321,10 +326,11 @@ impl Queries {
     async fn call(&self, asked: ParsedQuery) -> Result<Box<RawValue>, Problem> {
         let caller = self.caller(&asked);
         let ParsedQuery { method, params, zid, credential, .. } = asked;
-        let bond = if method == lease::TAKE.name { self.clients.bond(holder(&params), zid).await } else { None };
-        let result = operations::call(&self.gateway, caller, &method, Value::Object(params)).await;
+        let bond =
+            if method == Method::from(&lease::TAKE) { self.clients.bond(holder(&params), zid).await } else { None };
+        let result = operations::call(&self.gateway, caller, method, Value::Object(params)).await;
         let status = result.as_ref().map_or_else(|problem| problem.status().as_u16(), |_| 200);
-        self.metrics.answered(Some(&method), "QUERY", status);
+        self.metrics.answered(Some(method.name()), "QUERY", status);
         let OperationReply { body, effect, .. } = result?;
         let Effect::Leased(lease) = effect else { return Ok(body) };
         let with_bond = with_bond(&body, bond.as_ref());
@@ -350,7 +356,7 @@ impl Queries {
 
     fn identity(&self, asked: &ParsedQuery) -> Result<Identity, Unauthorized> {
         // A wrong token must not prevent a FAST STOP that needs none on this network.
-        let credential = if is_fast_stop(&asked.method) { &Credential::None } else { &asked.credential };
+        let credential = if asked.method.is_fast_stop() { &Credential::None } else { &asked.credential };
         identity(&self.gateway.access, credential)
     }
 
@@ -391,7 +397,7 @@ impl Queries {
 /// of all grippers, one of which can be called `command`.
 fn is_of_gateway(key: &str) -> bool {
     let (before, method) = key.rsplit_once('/').unwrap_or_default();
-    last_part(before) == COMMAND && !GRIPPER_READS.contains(&method)
+    last_part(before) == COMMAND && !GRIPPER_READS.iter().any(|read| read.name == method)
 }
 
 /// Parses a query's payload, within the bounds of a request's body.
@@ -401,11 +407,7 @@ fn body(payload: &[u8]) -> Result<Map<String, Value>, Problem> {
         let detail = format!("the payload has {bytes} bytes; at most {max} are allowed");
         return Err(Problem::new(Code::TooLarge, detail).value(Some(bytes.into())).limits(None, Some(max.into())));
     }
-    match json::parse(payload)? {
-        StrictJson(Value::Object(params)) => Ok(params),
-        // Any other JSON value counts as an empty body.
-        StrictJson(_) => Ok(Map::new()),
-    }
+    json::object(payload)
 }
 
 fn problem_json(problem: &Problem) -> String {
@@ -451,7 +453,7 @@ mod tests {
     fn asked(gripper: &str, method: &str, wait_ms: Option<&str>) -> ParsedQuery {
         ParsedQuery {
             key: String::new(),
-            method: method.to_owned(),
+            method: Method::named(method).unwrap(),
             params: Map::from_iter([("gripper".to_owned(), gripper.into())]),
             wait_ms: wait_ms.map(ToOwned::to_owned),
             lease: None,
@@ -486,10 +488,10 @@ mod tests {
         for (asked, lane) in lanes.iter().zip(lane_of) {
             let slots = queries.slots_for(asked);
             let all: Vec<_> = std::iter::from_fn(|| slots.clone().try_acquire_owned().ok()).collect();
-            assert!(!all.is_empty() && all.len() <= MAX_QUERIES.max(MAX_FAST_STOPS), "{}", asked.method);
+            assert!(!all.is_empty() && all.len() <= MAX_QUERIES.max(MAX_FAST_STOPS), "{:?}", asked.method);
             for (other, other_lane) in lanes.iter().zip(lane_of) {
                 let has_place = queries.slots_for(other).try_acquire_owned().is_ok();
-                assert_eq!(has_place, lane != other_lane, "{} while {} has all", other.method, asked.method);
+                assert_eq!(has_place, lane != other_lane, "{:?} while {:?} has all", other.method, asked.method);
             }
         }
     }

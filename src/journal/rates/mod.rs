@@ -2,7 +2,8 @@
 //!
 //! Each client's address has an account of bytes. While bytes are left, every event is a record of its own. After that,
 //! the newest event of a kind stands for all of its kind, and carries their count. It is written when the account
-//! allows, but at least a second later. No request is refused here, and no count is lost.
+//! allows, but at least a second later. No count is lost. Changes of recipes cannot be merged, because each version is
+//! recorded: beyond the rate, the client's next change is refused.
 //!
 //! A motion's two records are exempt, because every motion has to be recorded; the device bounds their rate. Events
 //! that no client causes are exempt too: those of the gateway, the link and the device. A gripper's alarms are not:
@@ -16,9 +17,9 @@ use std::num::NonZero;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use crate::gripper::model::{
-    AlarmKind, AlarmStep, CommandEvent, CommandId, Detail, DeviceEvent, Door, Event, FastStopEvent, FastStopStep, Kind,
-    LeaseStep, Name, RefusedEvent, SettingChange,
+use crate::model::{
+    AlarmKind, AlarmStep, Client, CommandEvent, CommandId, Detail, DeviceEvent, Door, Event, FastStopEvent,
+    FastStopStep, Kind, LeaseStep, Name, RefusedEvent, SettingChange,
 };
 
 /// Initial and maximum bytes of an account: some 1,700 records. A PLC that changes a setting in each 10 ms cycle is
@@ -58,6 +59,8 @@ struct Account {
 enum Payer {
     /// Address of a peer; for IPv6 its /64 network, because a host has 2^64 addresses there.
     Address(IpAddr),
+    /// Name of a credential.
+    Credential(String),
     /// All clients of an interface that knows only names of the clients' own choice.
     Interface(Door),
     /// Alarms, and events of FAST STOPs that the device shows, whichever client caused them.
@@ -80,14 +83,17 @@ impl Account {
 
 impl Payer {
     fn of(subject: &str, door: Door) -> Self {
+        if door == Door::Zenoh {
+            return Self::Interface(door);
+        }
         let address = subject.split_once(':').and_then(|(_, address)| address.parse().ok());
-        match address.filter(|_| door != Door::Zenoh) {
+        match address {
             Some(IpAddr::V6(address)) => {
                 let network = address.to_bits() >> 64 << 64;
                 Self::Address(Ipv6Addr::from_bits(network).into())
             }
             Some(address) => Self::Address(address),
-            None => Self::Interface(door),
+            None => Self::Credential(subject.to_owned()),
         }
     }
 }
@@ -112,7 +118,7 @@ impl Mergeable {
         Some(match detail {
             Detail::Command(CommandEvent::Admitted(admitted)) if admitted.command == Kind::Stop => Self::Stop,
             Detail::Command(CommandEvent::Done(done)) if done.command == Kind::Stop => Self::Stop,
-            // Each change of a recipe waits for the disk, which limits its client.
+            // Changes of recipes are refused beyond the rate.
             Detail::Command(_) | Detail::Link(_) | Detail::Gateway(_) | Detail::Recipe(_) => return None,
             Detail::FastStop(event) => Self::FastStop(discriminant(&event.event)),
             Detail::Acknowledge(_) => Self::Acknowledge,
@@ -168,8 +174,14 @@ struct State {
 impl Rates {
     /// Returns an event that is to be written now, or merges it and returns none.
     pub(super) fn take(&self, now: Instant, event: Event) -> Option<Event> {
-        let Some((account, kind)) = Account::of(&event).zip(Mergeable::of(&event.detail)) else { return Some(event) };
+        let Some(account) = Account::of(&event) else { return Some(event) };
         let mut state = self.state();
+        if matches!(event.detail, Detail::Recipe(_)) {
+            let account = state.known(now, account);
+            state.charge(&account, &event);
+            return Some(event);
+        }
+        let Some(kind) = Mergeable::of(&event.detail) else { return Some(event) };
         let account = state.known(now, account);
         if let Detail::Command(command) = &event.detail {
             let is_admitted = matches!(command, CommandEvent::Admitted(_));
@@ -182,6 +194,14 @@ impl Rates {
         }
         state.merge(now, slot, event);
         None
+    }
+
+    /// Whether a client has not exceeded the rate at which changes are recorded that cannot be merged.
+    pub(super) fn allows(&self, now: Instant, client: &Client) -> bool {
+        let account = Account { payer: Payer::of(&client.subject, client.door), is_fast_stop: false };
+        let mut state = self.state();
+        let account = state.known(now, account);
+        state.has(&account)
     }
 
     /// Returns the aggregates that are due, oldest first; all of them when the journal closes.

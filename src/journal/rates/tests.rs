@@ -3,7 +3,7 @@
 use super::super::tests::{Directory, at, id, keep, name, started};
 use super::super::{Record, Recorder as _};
 use super::*;
-use crate::gripper::model::{
+use crate::model::{
     Admitted, Alarm, AlarmCause, AlarmEvent, AlarmId, AlarmPriority, Client, Done, FastStopCause, IdSource, Outcome,
     Parameters, RequestedValues, SettingsEvent,
 };

@@ -1,7 +1,7 @@
 //! The journal's id, and subscriptions to its grip records.
 
 use super::*;
-use crate::gripper::model::DeviceEvent;
+use crate::model::DeviceEvent;
 
 #[tokio::test]
 async fn journal_id_lasts_as_long_as_the_file() {
@@ -40,11 +40,12 @@ async fn journal_of_an_earlier_version_gets_an_id() {
     journal.close().await.unwrap();
     drop(journal);
     let connection = rusqlite::Connection::open(directory.journal()).unwrap();
-    assert_eq!(connection.execute("DELETE FROM memory", []).unwrap(), 1);
+    connection.execute("DELETE FROM memory", []).unwrap();
     drop(connection);
+    std::fs::remove_file(directory.0.join("journal.db-head")).unwrap();
     let journal = directory.open().0;
     let id = journal.id();
-    assert_eq!(fields(&all(&journal).await, &["event"]), ["started", "ended"]);
+    assert_eq!(fields(&all(&journal).await, &["event"]), ["started", "ended", "restored"]);
     journal.close().await.unwrap();
     drop(journal);
     assert_eq!(directory.open().0.id(), id);

@@ -4,10 +4,12 @@ mod damage;
 mod disk;
 mod following;
 mod identity;
+mod keeping;
 mod losing;
 mod pages;
 mod pruning;
 mod recovering;
+mod restoring;
 mod statistics;
 mod versions;
 
@@ -18,7 +20,7 @@ use jiff::Timestamp;
 use tokio::sync::oneshot;
 
 use super::*;
-use crate::gripper::model::{
+use crate::model::{
     Admitted, CommandEvent, CommandId, Detail, Done, Door, Event, GatewayEvent, GripRecord, IdSource, Kind, Link,
     LinkEvent, Name, Outcome, Parameters, PartId, PersistedKey, PersistedState, RequestId, RequestedValues, Sample,
 };
@@ -233,7 +235,7 @@ async fn records_are_served_as_they_were_written() {
 async fn part_lost_later_shows_in_its_grip() {
     let (journal, _) = Journal::open(JournalLocation::Memory, Retention::default()).unwrap();
     journal.record(Record::Grip(Box::new(grip(1000, "left", 1, None))));
-    let lost = crate::gripper::model::DeviceEvent::PartLost { width_mm: Some(3.0) };
+    let lost = crate::model::DeviceEvent::PartLost { width_mm: Some(3.0) };
     keep(&journal, Event::new(at(61_000), Some(name("left")), Detail::Device(lost)).of(id(1))).await;
     let page = journal.grips(GripQuery::default()).await.unwrap();
     assert!(page.bodies[0].ends_with(r#","part_lost_at":"1970-01-01T00:01:01.000Z"}"#), "{}", page.bodies[0]);
@@ -260,7 +262,7 @@ async fn concurrent_records_are_numbered_without_a_gap() {
 
 #[tokio::test]
 async fn every_kind_of_event_can_be_written_and_read() {
-    use crate::gripper::model::{
+    use crate::model::{
         AcknowledgeEvent, Client, DeviceEvent, FastStopCause, FastStopEvent, FastStopStep, RefusedEvent, SettingChange,
         SettingsEvent,
     };

@@ -10,7 +10,7 @@ use super::super::query::{ChainKind, page};
 use super::super::row::{Row, milliseconds};
 use super::super::store::{PersistedValues, Store};
 use super::*;
-use crate::gripper::model::{AlarmCause, AlarmEvent, AlarmId, AlarmKind, AlarmStep};
+use crate::model::{AlarmCause, AlarmEvent, AlarmId, AlarmKind, AlarmStep};
 
 /// The values of a record that filters compare.
 struct Known<K> {

@@ -8,14 +8,18 @@ use std::time::{Duration, Instant};
 use rusqlite::{Connection, OptionalExtension};
 
 use super::chain::{Chain, memory_hash};
+use super::head::{self, Head};
 use super::identity::NO_GRIPPER;
+use super::kept::TABLE as KEPT;
 use super::reader::Reader;
 use super::schema::TABLES;
 use super::source::ReadError;
 use super::statistics;
 use super::store::anchor;
+use kept::{AttestedShares, KeptWalk};
 use walk::Walk;
 
+mod kept;
 #[cfg(test)]
 mod tests;
 mod walk;
@@ -57,16 +61,23 @@ impl fmt::Display for Finding {
 /// # Errors
 /// [`ReadError`], if the file is missing, is not a journal, or has another version.
 pub fn verify(path: &Path) -> Result<Report, ReadError> {
-    verify_with_progress(path, |_, _| {})
+    verify_with_progress(path, None, |_, _| {})
 }
 
-/// Verifies like [`verify`], and calls `progress` with the numbers of records that were read and of all records.
+/// Verifies like [`verify`], and compares the journal with an earlier head. Calls `progress` with the numbers of records
+/// that were read and of all records.
 ///
 /// # Errors
 /// As [`verify`].
-pub fn verify_with_progress(path: &Path, mut progress: impl FnMut(u64, u64)) -> Result<Report, ReadError> {
+pub fn verify_with_progress(
+    path: &Path,
+    head: Option<Head>,
+    mut progress: impl FnMut(u64, u64),
+) -> Result<Report, ReadError> {
     let reader = Reader::open(path)?;
     reader.with(|connection| {
+        // Read before the records, because a gateway may be writing new ones.
+        let kept = head::kept(path, connection);
         let snapshot = connection.unchecked_transaction()?;
         let mut verifier = Verifier::default();
         verifier.tables(&snapshot);
@@ -74,6 +85,9 @@ pub fn verify_with_progress(path: &Path, mut progress: impl FnMut(u64, u64)) -> 
         // A damaged file may have no number of records.
         let all: i64 = snapshot.query_row(records, [], |row| row.get(0)).unwrap_or_default();
         verifier.records(&snapshot, &mut |read| progress(read, all.unsigned_abs()));
+        for (head, is_newest) in kept.map(|head| (head, true)).into_iter().chain(head.map(|head| (head, false))) {
+            verifier.check("head", |this| this.head(&snapshot, head, is_newest));
+        }
         verifier.integrity(&snapshot);
         Ok(verifier.report)
     })
@@ -103,23 +117,20 @@ pub(super) fn verify_in_parts(reader: &Reader, mut pause: impl FnMut(Duration) -
     let read = reader.with(|connection| {
         verifier.tables(connection);
         let mut walks = [Walk::all(connection, Chain::Events)?, Walk::all(connection, Chain::Grips)?];
+        let mut kept = KeptWalk::all(connection)?;
         for walk in &mut walks {
-            loop {
-                let began = Instant::now();
-                let snapshot = connection.unchecked_transaction()?;
-                let more = walk.part(&mut verifier, &snapshot)?;
-                drop(snapshot);
-                if !pause(began.elapsed()) {
-                    return Ok(());
-                }
-                if !more {
-                    break;
-                }
+            if !in_parts(connection, &mut pause, |snapshot| walk.part(&mut verifier, snapshot))? {
+                return Ok(());
+            }
+        }
+        for walk in &mut kept {
+            if !in_parts(connection, &mut pause, |snapshot| walk.part(&mut verifier, snapshot))? {
+                return Ok(());
             }
         }
         // New records, and the tables besides the chains, are read at the same moment.
         let snapshot = connection.unchecked_transaction()?;
-        verifier.finish(&snapshot, walks, &mut |_| {});
+        verifier.finish(&snapshot, walks, kept, &mut |_| {});
         drop(snapshot);
         verifier.integrity(connection);
         Ok(())
@@ -130,6 +141,26 @@ pub(super) fn verify_in_parts(reader: &Reader, mut pause: impl FnMut(Duration) -
     pause(Duration::ZERO).then_some(verifier.report)
 }
 
+/// Reads part after part, each of another moment. Returns false if `pause` ends the check.
+fn in_parts(
+    connection: &Connection,
+    pause: &mut impl FnMut(Duration) -> bool,
+    mut part: impl FnMut(&Connection) -> rusqlite::Result<bool>,
+) -> rusqlite::Result<bool> {
+    loop {
+        let began = Instant::now();
+        let snapshot = connection.unchecked_transaction()?;
+        let more = part(&snapshot)?;
+        drop(snapshot);
+        if !pause(began.elapsed()) {
+            return Ok(false);
+        }
+        if !more {
+            return Ok(true);
+        }
+    }
+}
+
 #[derive(Debug, Default)]
 struct Verifier {
     report: Report,
@@ -137,6 +168,10 @@ struct Verifier {
     running: BTreeMap<String, i64>,
     /// Last removed record of each chain, according to the newest `pruned` event.
     attested: BTreeMap<Chain, (i64, String)>,
+    /// Ends of the shares of kept events, according to the newest events.
+    shares: AttestedShares,
+    /// Newest event with a head, and the grip record that it names with its hash.
+    named_grip: (i64, i64, String),
 }
 
 impl Verifier {
@@ -158,12 +193,14 @@ impl Verifier {
     /// Checks the definitions of tables and indexes: an index of other columns would find other records.
     fn tables(&mut self, connection: &Connection) {
         self.check("file", |this| {
-            let (expected, found) = (Connection::open_in_memory()?, tables(connection)?);
+            let found = tables(connection)?;
+            let expected = Connection::open_in_memory()?;
             expected.execute_batch(TABLES)?;
-            let before = tables(&expected)?;
+            let oldest = tables(&expected)?;
             expected.execute_batch(statistics::INDEX)?;
-            // A file that no newer gateway has opened for writing lacks the index.
-            if found != before && found != tables(&expected)? {
+            expected.execute_batch(KEPT)?;
+            // A file that no newer gateway has opened for writing lacks some.
+            if !found.is_superset(&oldest) || !found.is_subset(&tables(&expected)?) {
                 this.find("file", "tables or indexes differ from those of a journal");
             }
             Ok(())
@@ -179,7 +216,11 @@ impl Verifier {
                 Err((chain, error)) => self.find(chain.name(), format!("cannot be read: {error}")),
             }
         }
-        self.finish(connection, begun, progress);
+        let kept = KeptWalk::all(connection).unwrap_or_else(|error| {
+            self.find("kept", format!("cannot be read: {error}"));
+            Vec::new()
+        });
+        self.finish(connection, begun, kept, progress);
     }
 
     /// Walks to the ends of the chains, and compares the other tables with them. Calls `progress` with the number of
@@ -188,6 +229,7 @@ impl Verifier {
         &mut self,
         connection: &Connection,
         walks: impl IntoIterator<Item = Walk>,
+        kept: Vec<KeptWalk>,
         progress: &mut dyn FnMut(u64),
     ) {
         for mut walk in walks {
@@ -198,7 +240,15 @@ impl Verifier {
                 Ok(())
             });
         }
+        for mut walk in kept {
+            self.check("kept", |this| {
+                while walk.part(this, connection)? {}
+                walk.finish(this, connection)
+            });
+        }
+        self.check("events", |this| this.left_behind(connection));
         self.check("anchors", |this| this.anchors(connection));
+        self.check("grips", |this| this.named_grip(connection));
         self.check("running", |this| this.running(connection));
         self.check("memory", |this| this.memory(connection));
     }
@@ -216,6 +266,15 @@ impl Verifier {
                 let detail = format!("last removed record {} does not match the newest `pruned` event", anchor.seq);
                 self.find(format!("anchors {}", chain.name()), detail);
             }
+        }
+        Ok(())
+    }
+
+    /// Checks that the grip record is there that the newest head names. Later ones may be newer than the head.
+    fn named_grip(&mut self, connection: &Connection) -> rusqlite::Result<()> {
+        let (event, seq, hash) = std::mem::take(&mut self.named_grip);
+        if seq > anchor(connection, Chain::Grips)?.seq && hash_of(connection, Chain::Grips, seq)? != hash {
+            self.find(format!("grips {seq}"), format!("missing or changed, although event {event} names it"));
         }
         Ok(())
     }
@@ -241,6 +300,14 @@ impl Verifier {
             if !row.get_ref(3)?.as_blob().is_ok_and(|hash| hash == memory_hash(&gripper, &key, &value)) {
                 self.find(format!("memory {gripper} {key}"), "changed since it was written (hash mismatch)");
             }
+        }
+        Ok(())
+    }
+
+    /// Compares the ends of the chains with an earlier head.
+    fn head(&mut self, connection: &Connection, head: Head, is_newest: bool) -> rusqlite::Result<()> {
+        for difference in head.differences(connection, is_newest)? {
+            self.find("head", difference);
         }
         Ok(())
     }

@@ -8,7 +8,7 @@ use super::super::chain::Hash;
 use super::super::tests::{Directory, admitted, done, grip, id, link, memory, started};
 use super::super::{Record, Recorder};
 use super::*;
-use crate::gripper::model::{Outcome, PersistedKey};
+use crate::model::{Outcome, PersistedKey};
 
 /// Distance between damaged bytes in the whole file; coprime to 8, so that each bit has its turn.
 const STRIDE: usize = 53;
@@ -134,7 +134,7 @@ fn damaged_byte_of_a_record_is_found_and_named() {
     let directory = Directory::new();
     let file = filled(&directory);
     let contents = contents(&directory.journal());
-    assert_eq!(contents.len(), 21 * 2 + 6 * 2 + 1 + 4 + 1);
+    assert_eq!(contents.len(), 21 * 2 + 6 * 2 + 1 + 5 + 1);
     let mut bytes = Vec::new();
     for (record, content) in &contents {
         let places = places(&file, content);

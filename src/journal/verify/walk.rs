@@ -42,8 +42,10 @@ pub(super) struct Walk {
 impl Walk {
     /// Walks along all records of a chain.
     pub(super) fn all(connection: &Connection, chain: Chain) -> rusqlite::Result<Self> {
-        // Records before the anchor should have been removed, so they are findings.
-        Ok(Self { after: i64::MIN, ..Self::after_tip(chain, anchor(connection, chain)?) })
+        let anchor = anchor(connection, chain)?;
+        // Grip records before the anchor should have been removed, so they are findings. Events can have been kept.
+        let after = if chain == Chain::Grips { i64::MIN } else { anchor.seq };
+        Ok(Self { after, ..Self::after_tip(chain, anchor) })
     }
 
     /// Walks along the newest records of a chain.
@@ -111,6 +113,11 @@ fn times(connection: &Connection, chain: Chain, span: i64) -> rusqlite::Result<O
     connection.prepare_cached(sql)?.query_row(params![chain.name(), span], times).optional()
 }
 
+/// Parses a body.
+pub(super) fn body_of(body: &[u8]) -> Option<Value> {
+    serde_json::from_slice(body).ok()
+}
+
 fn raw<'a>(chain: Chain, row: &'a Row<'_>) -> rusqlite::Result<Option<Raw<'a>>> {
     let seq = row.get(0)?;
     let (ValueRef::Integer(at), ValueRef::Text(body)) = (row.get_ref(1)?, row.get_ref(2)?) else { return Ok(None) };
@@ -167,23 +174,29 @@ impl Walk {
         if !times.is_some_and(|(oldest, newest)| (oldest..=newest).contains(&raw.at)) {
             self.find(verifier, raw.seq, "time is outside the range in the time index");
         }
-        match serde_json::from_slice(raw.body) {
-            Ok(body) => self.body(verifier, raw, &body),
-            Err(error) => self.find(verifier, raw.seq, format!("body is not valid JSON: {error}")),
+        match body_of(raw.body) {
+            Some(body) => self.body(verifier, raw, &body),
+            None => self.find(verifier, raw.seq, "body is not valid JSON"),
         }
     }
 
     fn body(&self, verifier: &mut Verifier, raw: &Raw<'_>, body: &Value) {
-        if body["seq"].as_i64() != Some(raw.seq) {
-            self.find(verifier, raw.seq, format!("body has sequence number {}", body["seq"]));
-        }
-        let time = &body[self.chain.time_field()];
-        if time.as_str().and_then(|at| at.parse().ok()).map(milliseconds) != Some(raw.at) {
-            self.find(verifier, raw.seq, format!("body has time {time}, but the column has {} ms", raw.at));
-        }
+        check_body(verifier, self.chain, raw.seq, raw.at, body);
         if self.chain == Chain::Events {
             verifier.event(raw.seq, body);
         }
+    }
+}
+
+/// Compares a body with its record's columns.
+pub(super) fn check_body(verifier: &mut Verifier, chain: Chain, seq: i64, at: i64, body: &Value) {
+    let name = format!("{} {seq}", chain.name());
+    if body["seq"].as_i64() != Some(seq) {
+        verifier.find(&name, format!("body has sequence number {}", body["seq"]));
+    }
+    let time = &body[chain.time_field()];
+    if time.as_str().and_then(|at| at.parse().ok()).map(milliseconds) != Some(at) {
+        verifier.find(&name, format!("body has time {time}, but the column has {at} ms"));
     }
 }
 
@@ -199,10 +212,16 @@ impl Verifier {
                 self.running.remove(&text("command_id"));
             }
             (Some("gateway"), Some("pruned")) => {
+                self.shares.pruned(seq);
                 let seq = |field: &str| body[field].as_i64().unwrap_or_default();
                 self.attested.insert(Chain::Events, (seq("up_to_seq"), text("hash")));
                 self.attested.insert(Chain::Grips, (seq("grips_up_to_seq"), text("grips_hash")));
             }
+            (Some("gateway"), Some("head")) => {
+                let grips_seq = body["grips_up_to_seq"].as_i64().unwrap_or_default();
+                self.named_grip = (seq, grips_seq, text("grips_hash"));
+            }
+            (Some("gateway"), Some("kept")) => self.shares.kept(seq, body),
             _ => {}
         }
     }

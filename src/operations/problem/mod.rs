@@ -8,9 +8,9 @@ use serde_json::{Number, Value};
 use utoipa::ToSchema;
 
 use crate::access::Unauthorized;
-use crate::gripper::model::{Code, CommandId, FastStopId};
 use crate::gripper::{Conflict, DeviceRefusal, Failure, Invalid, Rejection};
 use crate::journal::ReadError;
+use crate::model::{Code, CommandId, FastStopId};
 use crate::wsg::Status;
 
 /// Longest wrong value that an answer repeats, in bytes: the answer has to fit a small client's buffer.
@@ -88,7 +88,7 @@ pub struct Members {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<String>, nullable = false)]
     holder: Option<Arc<str>>,
-    /// Time in ms until that lease expires without use; only with `lease_held`, and not for a reserved gripper.
+    /// Time in ms until that lease expires without use; only with `lease_held`.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false, minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     expires_in_ms: Option<u64>,
@@ -257,15 +257,20 @@ impl Problem {
             Conflict::Acknowledging { id } => self.fast_stop(id),
             Conflict::StaleFastStop { given: _, current } => self.fast_stop(current),
             Conflict::AlreadyRunning { id } => self.command(id),
-            Conflict::LeaseHeld { holder, expires_in_ms } => self.lease(Some(holder), expires_in_ms),
+            Conflict::LeaseHeld { holder, expires_in_ms }
+            | Conflict::LeaseTokenMissing { holder, expires_in_ms, .. } => {
+                self.lease(Some(holder), Some(expires_in_ms))
+            }
             Conflict::LeaseBound { holder, ttl_ms } => self.lease(Some(holder), Some(ttl_ms)),
-            Conflict::LeaseTokenMissing { holder, expires_in_ms, .. } => self.lease(Some(holder), Some(expires_in_ms)),
-            Conflict::LeaseRequested { holder, place: _ } => self.lease(Some(holder), None),
+            Conflict::Reserved { holder } | Conflict::LeaseRequested { holder, place: _ } => {
+                self.lease(Some(holder), None)
+            }
             Conflict::StaleLease { epoch: _, holder } => self.lease(holder, None),
             Conflict::NotReferenced
             | Conflict::FingersMove
             | Conflict::SettingsLost { .. }
-            | Conflict::RequestIdReused => self,
+            | Conflict::RequestIdReused
+            | Conflict::UnknownPast => self,
         }
     }
 

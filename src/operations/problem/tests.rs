@@ -1,5 +1,5 @@
 use super::*;
-use crate::gripper::model::Link;
+use crate::model::Link;
 
 fn members(rejection: impl Into<Rejection>) -> (u16, Value) {
     let problem = Problem::from(rejection.into());

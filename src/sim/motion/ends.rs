@@ -1,6 +1,6 @@
 //! End conditions of each kind of motion, based on its newest step.
 
-use crate::wsg::Status;
+use wsg::Status;
 
 use super::super::axis::{AxisDirection, Drive, Progress};
 use super::super::grip::GripProgress;

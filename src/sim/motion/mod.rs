@@ -1,7 +1,7 @@
 //! The mechanics: the axis, its surroundings and the running motion, independent of frames. The outcome of a motion is
 //! a [`StepOutcome`].
 
-use crate::wsg::{SoftLimits, Status};
+use wsg::{SoftLimits, Status};
 
 use super::axis::{Axis, AxisDirection, Drive, Progress};
 use super::grip::{Grip, Hold};

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::wsg::{Command, frame};
+use crate::{Command, frame};
 
 /// Longest line time of a request while the fingers may move, because a FAST STOP has to wait for that request.
 /// Requests no longer than a motion are exempt.

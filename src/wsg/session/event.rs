@@ -1,10 +1,10 @@
-//! What a session tells its owner.
+//! Events that a session reports to its owner.
 
 use std::time::Duration;
 
 use super::Token;
-use crate::wsg::Status;
-use crate::wsg::reply::{Data, InvalidReply, Reply};
+use crate::Status;
+use crate::reply::{Data, InvalidReply, Reply};
 
 /// An event of a session.
 #[derive(Debug, Clone, PartialEq)]

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::time::Instant;
 
 use super::{NotTaken, Request, Token};
-use crate::wsg::{Command, id};
+use crate::{Command, id};
 
 /// Limit of waiting requests per lane, besides motions and their forces. The gateway uses a few dozen ids with one
 /// request in flight each. Only a caller that does not wait for replies exceeds the limit.

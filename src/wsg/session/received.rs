@@ -5,15 +5,15 @@ use std::time::Instant;
 use super::barrier::Echo;
 use super::slots::{Closed, SlotState, Verdict};
 use super::{DUPLICATE_WITHIN, End, NoValue, Session, SessionEvent};
-use crate::wsg::decoder::Decoded;
-use crate::wsg::frame::{Frame, HEADER_BYTES, OVERHEAD_BYTES};
-use crate::wsg::reply::{Data, InvalidReply, Reply};
-use crate::wsg::{Status, SystemState, id};
+use crate::decoder::Decoded;
+use crate::frame::{Frame, HEADER_BYTES, OVERHEAD_BYTES};
+use crate::reply::{Data, InvalidReply, Reply};
+use crate::{Status, SystemState, id};
 
 const CHECKSUM_BYTES: usize = OVERHEAD_BYTES - HEADER_BYTES;
 
-/// Whether a frame is the newest one written, sent back by the line. Only a frame that is no reply can be one: a reply
-/// can happen to equal its request.
+/// Whether a frame is the newest one written, sent back by the line. Only a frame that is not a reply can be one: a
+/// reply can happen to equal its request.
 fn is_echo(written: &[u8], frame: Frame<'_>) -> bool {
     written.split_at_checked(HEADER_BYTES).is_some_and(|(header, rest)| {
         header[3] == frame.id && rest.len() == frame.payload.len() + CHECKSUM_BYTES && rest.starts_with(frame.payload)

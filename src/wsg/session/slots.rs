@@ -4,7 +4,7 @@
 use std::time::Instant;
 
 use super::{LATE_REPLIES_WITHIN, Token, barrier::LoopGeneration};
-use crate::wsg::{Data, Reply, Status, id};
+use crate::{Data, Reply, Status, id};
 
 /// Limit of Stops, and of FAST STOPs, in flight. It bounds the memory if the device answers none.
 const MAX_STOPS_IN_FLIGHT: usize = 8;
@@ -91,7 +91,7 @@ impl InFlight {
     }
 
     pub(super) fn judge(&self, id: u8, status: Status) -> Verdict {
-        let premature = if crate::wsg::id::is_motion(id) {
+        let premature = if crate::id::is_motion(id) {
             status.only_ends_a_motion()
         } else {
             // Finger power: over-current is reported at once, success only after E_CMD_PENDING (`fw4-en 3.6.3`).

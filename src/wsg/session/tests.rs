@@ -3,8 +3,8 @@ mod late;
 mod opaque;
 
 use super::*;
-use crate::wsg::reply::{Data, Reply};
-use crate::wsg::{CustomCommand, Force, GripperState, LoopData, Speed, Status, SystemState, Updates, Width};
+use crate::reply::{Data, Reply};
+use crate::{CustomCommand, Force, GripperState, LoopData, Speed, Status, SystemState, Updates, Width};
 
 const ANSWER: Duration = Duration::from_millis(100);
 const RESULT: Duration = Duration::from_secs(5);

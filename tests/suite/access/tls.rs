@@ -27,6 +27,7 @@ use tokio_tungstenite::client_async;
 use tokio_tungstenite::tungstenite::Message;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest as _;
 use tokio_util::task::AbortOnDropHandle;
+use wsg_gateway::interfaces::self_signed::SelfSigned;
 
 use crate::harness::{Directory, Process, eventually, run};
 
@@ -148,7 +149,7 @@ async fn reads_without_tls_are_redirected_and_changes_refused() {
     let client = reqwest::Client::builder().redirect(reqwest::redirect::Policy::none()).build().unwrap();
     let plain = format!("http://{}", gateway.address);
     let page = client.get(format!("{plain}/docs?x=1")).send().await.unwrap();
-    assert_eq!(page.status(), 308);
+    assert_eq!(page.status(), 307);
     assert_eq!(page.headers()["location"].to_str().unwrap(), format!("https://{}/docs?x=1", gateway.address));
     let change = client.post(format!("{plain}/api/v1/grippers/left/home")).send().await.unwrap();
     assert_eq!(change.status(), 400);
@@ -324,4 +325,57 @@ async fn certificate_swapped_under_load_drops_nothing() {
     println!("{} connections during 20 swaps", served.load(Ordering::Relaxed));
     assert!(loads.try_join_next().is_none(), "no request failed");
     loads.shutdown().await;
+}
+
+/// Replaces the certificate that `init` has made by one that ends in this number of days.
+fn let_certificate_end(directory: &Directory, days_left: i64) {
+    let begin = jiff::Timestamp::now() + jiff::SignedDuration::from_hours((days_left - 823) * 24);
+    let made = SelfSigned::create("gateway", &["localhost".to_owned()], begin).unwrap();
+    directory.write("certificate.pem", &made.certificate);
+    directory.write("key.pem", &made.key);
+    // Clients trust the old certificate.
+    directory.write("authority.pem", &made.certificate);
+}
+
+#[tokio::test]
+async fn self_signed_certificate_is_renewed_for_clients_that_know_its_key() {
+    let gateway = initialised_with(|directory, config| {
+        let_certificate_end(directory, 1);
+        config
+    })
+    .await;
+    let old = std::fs::read_to_string(gateway.directory.file("authority.pem")).unwrap();
+    eventually("a new certificate", async || {
+        let new = std::fs::read_to_string(gateway.directory.file("certificate.pem")).unwrap();
+        (new != old).then_some(())
+    })
+    .await;
+    let stream = secure_stream(&gateway).await.unwrap();
+    let served = stream.get_ref().1.peer_certificates().unwrap()[0].clone();
+    assert_ne!(served, CertificateDer::from_pem_slice(old.as_bytes()).unwrap());
+}
+
+#[tokio::test]
+async fn pinned_certificate_is_kept_and_its_end_is_an_alarm() {
+    let gateway = initialised_with(|directory, config| {
+        let_certificate_end(directory, 5);
+        config.replace("[tls]\n", "[tls]\npinned = true\n")
+    })
+    .await;
+    let mut client = HttpsClient::connect(&gateway).await.unwrap();
+    let alarm = loop {
+        let response = client.send("GET", "/api/v1/alarms", Some(&gateway.token), &Value::Null).await;
+        let body = response.into_body().collect().await.unwrap().to_bytes();
+        let listed: Value = serde_json::from_slice(&body).unwrap();
+        let found = listed["alarms"].as_array().unwrap().iter().find(|one| one["alarm"] == "certificate_expiring");
+        if let Some(alarm) = found {
+            break alarm.clone();
+        }
+        tokio::task::yield_now().await;
+    };
+    assert!(alarm["name"].as_str().unwrap().ends_with("certificate.pem"), "{alarm}");
+    assert!(alarm["cause"].as_str().unwrap().starts_with("expires on "), "{alarm}");
+    let [old, new] =
+        ["authority.pem", "certificate.pem"].map(|name| std::fs::read(gateway.directory.file(name)).unwrap());
+    assert_eq!(old, new);
 }

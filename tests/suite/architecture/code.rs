@@ -17,7 +17,16 @@ use super::is_in;
 type Path = Vec<String>;
 
 /// Attributes of code that is not compiled into the gateway.
-const NOT_SHIPPED: [&str; 2] = ["#[cfg(test)]", "#[cfg(any(test,fuzzing))]"];
+const NOT_SHIPPED: [&str; 5] = [
+    "#[cfg(test)]",
+    "#[cfg(any(test,fuzzing))]",
+    "#[cfg(any(test,fuzzing,feature=\"fuzz\"))]",
+    "#[cfg(any(test,fuzzing,feature=\"testing\"))]",
+    "#[cfg(any(test,feature=\"testing\"))]",
+];
+
+/// Rooms that are crates of their own.
+const CRATES: [&str; 6] = ["gripper", "model", "settings", "sim", "transport", "wsg"];
 
 /// Constructors of queues, which take the capacity as first argument.
 const QUEUES: &[&str] = &["mpsc::channel", "broadcast::channel", "broadcast::Sender::new", "sync_channel"];
@@ -43,9 +52,16 @@ pub struct Code {
 }
 
 impl Code {
-    /// Reads the library and the binary from the texts of their files.
+    /// Reads the crates, the library and the binary from the texts of their files.
     pub fn new(texts: BTreeMap<String, String>) -> Self {
         let mut code = Self { texts, ..Self::default() };
+        for name in
+            CRATES.into_iter().filter(|name| code.texts.contains_key(&format!("{name}/mod"))).collect::<Vec<_>>()
+        {
+            code.module = vec![name.to_owned()];
+            code.read(name);
+        }
+        code.module.clear();
         code.read("lib");
         code.module.push("main".to_owned());
         code.read("main");
@@ -81,12 +97,18 @@ impl Code {
         }
     }
 
-    /// Records a path, and returns it relative to the crate root.
+    /// Records a path, and returns it relative to the library, which names all crates.
     fn name(&mut self, path: &[String]) -> Path {
         let mut full = self.module.clone();
-        for part in path {
+        let is_in_crate = full.first().is_some_and(|first| self.is_crate(first));
+        for (place, part) in path.iter().enumerate() {
             match part.as_str() {
+                "crate" if is_in_crate => full.truncate(1),
                 "crate" | "wsg_gateway" => full.clear(),
+                // A crate names another one.
+                name if place == 0 && is_in_crate && path.len() > 1 && self.is_other_crate(name) => {
+                    full = vec![name.to_owned()];
+                }
                 "super" => drop(full.pop()),
                 "self" => {}
                 part => full.push(part.to_owned()),
@@ -97,6 +119,16 @@ impl Code {
             self.names.insert((self.file.clone(), full.clone(), path.join("::")));
         }
         full
+    }
+
+    fn is_crate(&self, name: &str) -> bool {
+        CRATES.contains(&name) && self.texts.contains_key(&format!("{name}/mod"))
+    }
+
+    /// Whether this is the name of a crate, and not that of a module beside the file.
+    fn is_other_crate(&self, name: &str) -> bool {
+        let beside = [&*self.module, &[name.to_owned()]].concat().join("/");
+        self.is_crate(name) && !self.texts.keys().any(|file| is_in(file, &beside))
     }
 
     fn import(&mut self, mut path: Path, tree: &UseTree) {

@@ -1,6 +1,7 @@
 //! Architecture test: which room of `src` can use which, and house rules for every file.
 
 mod code;
+mod pinned;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -16,42 +17,43 @@ use code::Code;
 /// the room with the longest matching name.
 const ROOMS: &str = "
     lib:
-    access: gripper/model
+    access: model settings
     main: cli
-    cli: access config daemon doctor fleet interfaces interfaces/http interfaces/websocket gripper/model journal logging
+    cli: access config daemon doctor fleet interfaces interfaces/http interfaces/websocket model journal logging
         transport wsg wsg/frame
-    alarms: fleet gripper gripper/model gripper/recorder journal wear
+    alarms: access fleet gripper model gripper/recorder journal wear webhooks
     daemon: access alarms config interfaces interfaces/dashboard interfaces/http interfaces/modbus interfaces/wsg_port
-        interfaces/zenoh events fleet operations gripper gripper/actor gripper/model gripper/recorder journal recipes
-        sim transport trends wear webhooks wsg
-    doctor: access config daemon gripper/model interfaces journal transport wsg wsg/frame
-    config: access fleet gripper/model journal transport wear webhooks
+        interfaces/zenoh events fleet operations gripper gripper/actor model gripper/recorder journal recipes
+        settings sim transport trends wear webhooks wsg
+    doctor: access config daemon model interfaces interfaces/wsg_port journal transport wsg wsg/frame
+    config: access model interfaces interfaces/http interfaces/wsg_port journal settings transport wear webhooks
     logging:
-    operations: access alarms events fleet gripper gripper/model gripper/recorder journal recipes trends wear webhooks wsg
-    interfaces: access gripper/model operations
+    operations: access alarms events fleet gripper model gripper/recorder journal recipes trends wear webhooks wsg
+    interfaces: access model operations settings transport
     interfaces/dashboard: interfaces operations
-    interfaces/http: access alarms interfaces interfaces/dashboard interfaces/websocket events fleet operations
-        gripper gripper/model journal recipes trends
-    interfaces/modbus: interfaces gripper gripper/model operations wsg
-    interfaces/websocket: access interfaces events gripper gripper/model operations
-    interfaces/wsg_port: access interfaces gripper gripper/model operations wsg wsg/frame
-    interfaces/zenoh: access interfaces events fleet gripper gripper/model journal operations
-    events: alarms fleet gripper gripper/model journal
-    fleet: gripper gripper/model
-    journal: gripper/model gripper/recorder
-    gripper: gripper/actor gripper/model gripper/recorder transport wsg
-    gripper/actor: gripper gripper/latch gripper/model gripper/recorder gripper/setup transport
+    interfaces/http: access interfaces interfaces/dashboard interfaces/websocket events fleet operations
+        gripper model journal recipes settings transport
+    interfaces/modbus: interfaces gripper model operations wsg
+    interfaces/websocket: access interfaces events gripper model operations
+    interfaces/wsg_port: access interfaces gripper model operations settings wsg wsg/frame
+    interfaces/zenoh: access interfaces events fleet gripper model journal operations
+    events: alarms fleet gripper model journal
+    fleet: gripper model
+    journal: model gripper/recorder
+    gripper: gripper/actor model gripper/recorder transport wsg
+    gripper/actor: gripper gripper/latch model gripper/recorder gripper/setup transport
         wsg wsg/frame wsg/session
-    gripper/latch: gripper gripper/model wsg wsg/session
-    gripper/model: gripper wsg
-    gripper/recorder: gripper/model
+    gripper/latch: gripper model wsg wsg/session
+    model: settings wsg
+    gripper/recorder: model
     gripper/setup: wsg wsg/session
-    recipes: gripper gripper/model gripper/recorder journal
+    recipes: model gripper/recorder journal
+    settings:
     sim: wsg wsg/frame
     transport:
-    trends: gripper gripper/model
-    wear: gripper gripper/model gripper/recorder journal
-    webhooks: gripper gripper/model gripper/recorder journal transport
+    trends: gripper model
+    wear: model gripper/recorder journal settings
+    webhooks: model gripper/recorder journal transport
     wsg: wsg/crc wsg/frame
     wsg/crc:
     wsg/frame: wsg/crc
@@ -163,48 +165,42 @@ fn no_file_is_too_long() {
 
 /// Returns a crate of two rooms, with these file contents.
 fn planted(model: &str, wsg: &str) -> Code {
-    let lib = ("lib", "mod gripper; mod wsg;");
-    let files = [
-        lib,
-        ("main", ""),
-        ("gripper/mod", "mod model; pub use model::Model;"),
-        ("gripper/model", model),
-        ("wsg", wsg),
-    ];
+    let lib = ("lib", "mod fleet; mod wsg;");
+    let files =
+        [lib, ("main", ""), ("fleet/mod", "mod model; pub use model::Model;"), ("fleet/model", model), ("wsg", wsg)];
     Code::new(files.map(|(file, text)| (file.to_owned(), text.to_owned())).into())
 }
 
 #[test]
 fn forbidden_import_is_found() {
     for wsg in [
-        "use crate::gripper::Model;",
-        "use super::{gripper::{self as g}};",
-        "mod inner { use super::super::gripper::model::*; }",
-        "fn f(_: Vec<super::gripper::Model>) {}",
-        "fn f() { crate::gripper::f(1); }",
-        "fn f() { info!(a = b, (crate::gripper::f::<u8>())); }",
-        "#[derive(crate::gripper::Derive)] struct A;",
+        "use crate::fleet::Model;",
+        "use super::{fleet::{self as g}};",
+        "mod inner { use super::super::fleet::model::*; }",
+        "fn f(_: Vec<super::fleet::Model>) {}",
+        "fn f() { crate::fleet::f(1); }",
+        "fn f() { info!(a = b, (crate::fleet::f::<u8>())); }",
+        "#[derive(crate::fleet::Derive)] struct A;",
     ] {
-        let found = against_rooms(&planted("", wsg), "lib: main: gripper: wsg:");
-        assert!(found.len() == 1 && found[0].contains("wsg must not use gripper"), "{wsg}: {found:?}");
+        let found = against_rooms(&planted("", wsg), "lib: main: fleet: wsg:");
+        assert!(found.len() == 1 && found[0].contains("wsg must not use fleet"), "{wsg}: {found:?}");
     }
 }
 
 #[test]
 fn wrong_table_of_rooms_is_found() {
     let code = planted("", "");
-    for table in ["lib: main: gripper: wsg: auth:", "lib: main: gripper: wsg wsg:", "lib: main: gripper:"] {
+    for table in ["lib: main: fleet: wsg: auth:", "lib: main: fleet: wsg wsg:", "lib: main: fleet:"] {
         assert_eq!(against_rooms(&code, table).len(), 1, "{table}");
     }
 }
 
 #[test]
 fn cycle_is_found() {
-    let found =
-        |wsg| circle(&planted("fn g() { super::super::wsg::f() }", wsg), "lib: main: gripper: wsg:", "gripper wsg");
-    let chain = "wsg → gripper/model (crate::gripper::Model), gripper/model → wsg (super::super::wsg::f)";
-    assert_eq!(found("use crate::gripper::Model;").unwrap(), chain);
-    assert_eq!(found("use crate::gripper::f;"), None);
+    let found = |wsg| circle(&planted("fn g() { super::super::wsg::f() }", wsg), "lib: main: fleet: wsg:", "fleet wsg");
+    let chain = "wsg → fleet/model (crate::fleet::Model), fleet/model → wsg (super::super::wsg::f)";
+    assert_eq!(found("use crate::fleet::Model;").unwrap(), chain);
+    assert_eq!(found("use crate::fleet::f;"), None);
 }
 
 #[test]
@@ -225,13 +221,13 @@ fn breach_of_a_house_rule_is_found() {
 
 #[test]
 fn test_code_is_ignored() {
-    let tests = "fn f() { crate::gripper::f(tokio::spawn()); mpsc::channel(64) }";
+    let tests = "fn f() { crate::fleet::f(tokio::spawn()); mpsc::channel(64) }";
     let code = planted(
         "fn f() { sync_channel(super::QUEUE + ENDS + 1); }",
         &format!("#[cfg(test)] mod tests; impl A {{ #[cfg(test)] {tests} }}"),
     );
     assert_eq!(
-        [against_rooms(&code, "lib: main: gripper: wsg:"), against_house_rules(&code)].concat(),
+        [against_rooms(&code, "lib: main: fleet: wsg:"), against_house_rules(&code)].concat(),
         Vec::<String>::new()
     );
 }

@@ -6,8 +6,8 @@ use std::future::Future;
 use std::time::Duration;
 
 use tokio::time::sleep;
-use wsg_gateway::gripper::model::{Action, FastStopId, Link, Motion, Outcome, Reason};
 use wsg_gateway::gripper::{DeviceRefusal, Now, Rejection};
+use wsg_gateway::model::{Action, FastStopId, Link, Motion, Outcome, Reason};
 use wsg_gateway::sim::Change;
 use wsg_gateway::wsg::{
     Acceleration, Command, CustomCommand, Data, DeviceTag, Finger, Force, LoopData, SoftLimits, Speed, Status,

@@ -5,8 +5,8 @@ use std::time::{Duration, Instant};
 
 use prometheus::Registry;
 use wsg_gateway::daemon::{ServedDevice, SimulatedDevice, Switch, serve_device};
-use wsg_gateway::gripper::model::{Action, Client, CommandReport, Door, Link, Motion, Outcome, State, Submission};
 use wsg_gateway::gripper::{self, Connector, GripperMetrics, Handle, Now, Rejection, Ticket};
+use wsg_gateway::model::{Action, Client, CommandReport, Door, Link, Motion, Outcome, State, Submission};
 use wsg_gateway::sim::{Change, DeviceConfig, FingerConfig, Part, Script, ScriptAnswer};
 use wsg_gateway::wsg::{self, Data, HomingDirection, MoveFlags, Speed, SystemState, Width};
 
@@ -39,18 +39,13 @@ pub async fn served(url: &str) -> ServedDevice {
 
 /// Starts a gripper for this address, even if no device is there.
 pub fn spawn(connector: impl Connector) -> Handle {
+    let custom_ids = wsg_gateway::model::CustomIds { read: (0xB0..=0xB7).collect(), ..Default::default() };
     let config = gripper::actor::ActorConfig {
         gateway: "gateway".parse().unwrap(),
         name: "g".parse().unwrap(),
         url: connector.url(),
         properties: connector.properties(),
-        fast_stop_on_disconnect: true,
-        custom_ids: gripper::model::CustomIds { read: (0xB0..=0xB7).collect(), ..Default::default() },
-        updates: gripper::model::UpdateRules::default(),
-        motion_pause: Duration::from_millis(50),
-        drain: Duration::from_secs(2),
-        on_journal_failure: gripper::model::OnJournalFailure::Refuse,
-        lease: gripper::model::LeaseRules::default(),
+        rules: wsg_gateway::model::GripperRules { custom_ids, ..Default::default() },
         seed: 1,
         metrics: GripperMetrics::register(&Registry::new(), &"g".parse().unwrap()).unwrap(),
     };

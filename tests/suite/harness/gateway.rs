@@ -158,13 +158,18 @@ impl Gateway {
         }
         let own = ["--tokens", path, "--gripper", "g=sim://wsg50", "--gripper", "h=sim://wsg50"];
         let mut gateway = Self::start(&[&own[..], arguments].concat()).await;
-        let mut headers = HeaderMap::new();
         if let Some(first) = secrets.first() {
-            headers.insert(AUTHORIZATION, format!("Bearer {first}").parse().unwrap());
+            gateway = gateway.with_token(first);
         }
-        gateway.http = client().default_headers(headers).build().unwrap();
         gateway.files = Some(files);
         (gateway, secrets)
+    }
+
+    /// Sends all requests with a token.
+    pub fn with_token(self, token: &str) -> Self {
+        let authorization = format!("Bearer {token}").parse().unwrap();
+        let headers = HeaderMap::from_iter([(AUTHORIZATION, authorization)]);
+        Self { http: client().default_headers(headers).build().unwrap(), ..self }
     }
 
     /// Revokes a token of a guarded gateway.

@@ -24,7 +24,7 @@ pub use directory::Directory;
 pub use frames::Frame;
 pub use gateway::{Answer, Gateway};
 pub use journal_file::JournalFile;
-pub use process::Process;
+pub use process::{Ended, Process};
 pub use proxy::Proxy;
 pub use pty::on_pty;
 pub use scripted::{Scripted, Table, success};
@@ -56,6 +56,12 @@ pub async fn shortest(limit: Duration, mut measure: impl AsyncFnMut() -> Duratio
         shortest = shortest.min(measure().await);
     }
     shortest
+}
+
+/// Returns a free port for a listener that is opened later. It is not one that the system gives to others meanwhile.
+pub fn port_for_later() -> u16 {
+    let is_free = |port: &u16| std::net::TcpListener::bind(("127.0.0.1", *port)).is_ok();
+    std::iter::repeat_with(|| rand::random_range(20_000..32_000)).find(is_free).unwrap()
 }
 
 /// Waits until `look` returns a value.

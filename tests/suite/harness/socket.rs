@@ -147,7 +147,7 @@ impl Socket {
 
     /// Waits for the answer to this request.
     pub async fn answer(&mut self, id: u64) -> Value {
-        // It can have arrived before the answer to an earlier request.
+        // This answer can have arrived before that to an earlier request.
         if let Some(index) = self.queued.iter().position(|message| message["id"] == id) {
             return self.queued.remove(index).unwrap();
         }

@@ -119,7 +119,7 @@ async fn holder_killed_with_a_part_keeps_it_and_can_return() {
     driver.reset();
     cell.gateway.until("the lease is free", |state| state["lease_holder"].is_null()).await;
     let others = cell.gateway.post("release", &json!({"width_mm": 60, "speed_mm_s": 100})).await;
-    assert_eq!(others.problem(409, "lease_held")["holder"], "wsg:127.0.0.1", "the gripper is reserved");
+    assert_eq!(others.problem(409, "reserved")["holder"], "wsg:127.0.0.1");
     let state = cell.gateway.state().await;
     assert_eq!((&state["state"], &state["fast_stop"]), (&json!("HOLDING"), &json!(false)), "{state}");
     assert_eq!(cell.proxy.frames.all().into_iter().filter(|frame| !frame.is_upkeep()).count(), sent);

@@ -1,4 +1,4 @@
-//! Habits of known clients, quoted from the field notes.
+//! Habits of known clients. `src/rulings.md` has them with their sources.
 
 use std::time::{Duration, Instant};
 

@@ -1,9 +1,11 @@
 //! The port behaves like the device where the manual names the behaviour.
 
+use std::time::Duration;
+
 use serde_json::json;
 
-use super::{ABORTED, ACCESS_DENIED, Cell, MOVE, NOT_INITIALIZED, RANGE_ERROR, SUCCESS};
-use crate::harness::wsg::{Driver, PENDING, floats, move_to};
+use super::{ABORTED, ACCESS_DENIED, Cell, FORMAT_ERROR, MOVE, NOT_INITIALIZED, RANGE_ERROR, SUCCESS};
+use crate::harness::wsg::{Driver, PENDING, Reply, floats, move_to};
 use crate::harness::{Gateway, Proxy, Simulator};
 
 const SET_SOFT_LIMITS: u8 = 0x34;
@@ -89,4 +91,87 @@ async fn finger_power_off_does_not_wait() {
         let flags = driver.ask(0x71, &[]).await;
         assert_eq!((flags.status, flags.data[0] & 1), (SUCCESS, 0));
     }
+}
+
+const MOVING: u32 = 1 << 1;
+const SOFT_LIMIT_PLUS: u32 = 1 << 5;
+const AXIS_STOPPED: u32 = 1 << 6;
+const FAST_STOP: u32 = 1 << 12;
+const CMD_FAILURE: u32 = 1 << 18;
+
+/// Sends a request, and returns its reply and the other frames before it.
+async fn reply_among(driver: &mut Driver, id: u8, payload: &[u8]) -> (Reply, Vec<Reply>) {
+    driver.send(id, payload).await;
+    let mut others = Vec::new();
+    loop {
+        let reply = driver.next().await;
+        if reply.id == id {
+            return (reply, others);
+        }
+        others.push(reply);
+    }
+}
+
+async fn state(driver: &mut Driver) -> u8 {
+    driver.ask(0x41, &[0; 3]).await.data[0]
+}
+
+/// The effect precedes the reply on the device, so the next query shows it.
+#[tokio::test]
+async fn query_after_a_change_shows_it() {
+    for firmware in ["fw2", "fw4"] {
+        let (_cell, mut port, _alone, mut device) = port_and_device(firmware).await;
+        for driver in [&mut port, &mut device] {
+            assert_eq!(driver.status(MOVE, &move_to(60.0, 20.0)).await, PENDING);
+            assert_eq!(driver.flags().await & (MOVING | AXIS_STOPPED), MOVING, "{firmware}");
+            assert_eq!(state(driver).await, 6, "{firmware}");
+            let (stop, mut others) = reply_among(driver, 0x22, &[]).await;
+            assert_eq!(stop.status, SUCCESS);
+            let (flags, further) = reply_among(driver, 0x40, &[0; 3]).await;
+            let flags = u32::from_le_bytes(flags.data.try_into().unwrap());
+            assert_eq!(flags & (MOVING | AXIS_STOPPED), AXIS_STOPPED, "{firmware}");
+            others.extend(further);
+            if others.is_empty() {
+                others.push(driver.next().await);
+            }
+            assert_eq!((others[0].id, others[0].status), (MOVE, ABORTED));
+            assert_eq!(driver.status(SET_SOFT_LIMITS, &floats(&[20.0, 50.0])).await, SUCCESS);
+            assert_eq!(driver.flags().await & SOFT_LIMIT_PLUS, SOFT_LIMIT_PLUS, "{firmware}");
+            assert_eq!(driver.status(0x36, &[]).await, SUCCESS);
+            assert_eq!(driver.flags().await & SOFT_LIMIT_PLUS, 0, "{firmware}");
+            assert_eq!(driver.status(0x23, &[]).await, SUCCESS);
+            assert_eq!(state(driver).await, if firmware == "fw4" { 7 } else { 0 }, "{firmware}");
+            assert_eq!(driver.flags().await & FAST_STOP, FAST_STOP, "{firmware}");
+            assert_eq!(driver.status(0x24, b"ack").await, SUCCESS);
+            assert_eq!(driver.flags().await & FAST_STOP, 0, "{firmware}");
+        }
+    }
+}
+
+/// CMD_FAILURE says that the last request failed: that of the same client, whoever has refused it.
+#[tokio::test]
+async fn failure_flag_is_about_the_clients_own_last_request() {
+    for firmware in ["fw2", "fw4"] {
+        let (cell, mut port, _alone, mut device) = port_and_device(firmware).await;
+        for driver in [&mut port, &mut device] {
+            assert_eq!(driver.status(0x36, &[]).await, SUCCESS);
+            assert_eq!(driver.flags().await & CMD_FAILURE, 0, "cleared soft limits, {firmware}");
+            for (id, parameters, status) in [(0x35, vec![], 1), (0x32, vec![1], FORMAT_ERROR), (0xB9, vec![], 14)] {
+                assert_eq!(driver.status(id, &parameters).await, status, "{id:02X}h {firmware}");
+                assert_eq!(driver.flags().await & CMD_FAILURE, CMD_FAILURE, "{id:02X}h {firmware}");
+                assert_eq!(driver.flags().await & CMD_FAILURE, 0, "the query itself succeeded, {firmware}");
+            }
+        }
+        // The reads of others fail.
+        assert_eq!(port.status(0x40, &[3, 10, 0]).await, SUCCESS);
+        let mut other = cell.driver().await;
+        assert_eq!(other.status(0x35, &[]).await, 1);
+        cell.gateway.until("the device shows it", has_failed).await;
+        assert_eq!(port.next_within(Duration::from_millis(100)).await, None, "{firmware}");
+        assert_eq!(other.flags().await & CMD_FAILURE, CMD_FAILURE);
+    }
+}
+
+fn has_failed(state: &serde_json::Value) -> bool {
+    state["flags"].as_array().is_some_and(|flags| flags.iter().any(|flag| flag == "CMD_FAILURE"))
 }

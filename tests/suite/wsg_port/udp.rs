@@ -56,6 +56,19 @@ async fn client_silent_for_three_seconds_is_lost() {
     assert_eq!(next(&one).await, (MOVE, ABORTED), "the silent client still gets its status");
 }
 
+/// The rest of a datagram that was cut short never comes.
+#[tokio::test]
+async fn datagram_cut_short_hides_no_further_ones() {
+    let device = Simulator::start(&[]).await;
+    let proxy = Proxy::to(device.address);
+    let (_gateway, port) = port(&proxy, "?reply_port=sender").await;
+    let client = client().await;
+    for id in [0x06, 0x21, 0xB5] {
+        client.send_to(&request(id, &[0; 200])[..40], port).await.unwrap();
+        assert_eq!(ask(&client, port, 0x50, &[]).await, SUCCESS, "{id:02X}h");
+    }
+}
+
 /// Drivers without a time-out that wait for the end of a motion send nothing in the meantime.
 #[tokio::test]
 async fn silence_limit_is_configurable() {

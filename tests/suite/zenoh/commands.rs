@@ -5,7 +5,7 @@ use std::time::Instant;
 use serde_json::{Map, Value, json};
 
 use super::Rig;
-use crate::harness::{Gateway, MOTIONS, ZenohClient, eventually};
+use crate::harness::{Gateway, MOTIONS, ZenohClient, eventually, port_for_later};
 
 const FAST_STOP: u8 = 0x23;
 
@@ -155,6 +155,11 @@ async fn put_with_any_payload_stops_one_gateway_or_all() {
         rig.gateway.post("home", &json!({"direction": "outer"})).await.outcome("SUCCESS");
     }
     rig.client.put("wsg/v1/another/fast-stop", "not this one").await;
+    // As for clearing the storages of a network.
+    rig.client.session.delete("wsg/**").await.unwrap();
+    let deletes = "wsg_requests_total{door=\"zenoh\",method=\"DELETE\",route=\"fast-stop\",status=\"405\"}";
+    eventually("ignored deletes", async || (rig.gateway.figures().await.get(deletes) == Some(&2.0)).then_some(()))
+        .await;
     let state = rig.client.ask("wsg/v1/gateway/g/state", &Value::Null).await.unwrap();
     assert_eq!(state["fast_stop"], false);
 }
@@ -195,7 +200,7 @@ async fn occupied_port_is_reported_and_retried() {
 /// Zenoh lists no address for this endpoint, as for 0.0.0.0 while no network is connected.
 #[tokio::test(flavor = "multi_thread")]
 async fn gateway_without_a_network_is_ready() {
-    let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let port = port_for_later();
     let endpoint = format!("tcp/0.0.0.0:{port}#iface=lo");
     let gateway = Gateway::start(&["--gripper", "g=sim://wsg50", "--zenoh-listen", &endpoint, "--insecure"]).await;
     eventually("the gateway is ready", async || (readiness(&gateway).await.0 == true).then_some(())).await;

@@ -337,6 +337,9 @@ async fn frozen_gateway_is_gone_within_two_seconds() {
     until_whole(&pair.near, 2).await;
 }
 
+/// Time within which gateways find each other again, unless Zenoh has lost one of them.
+const RECONNECTED_WITHIN: Duration = Duration::from_secs(5);
+
 #[tokio::test(flavor = "multi_thread")]
 async fn gone_gateway_behind_a_frozen_router_gets_no_request() {
     let pair = Pair::start().await;
@@ -348,7 +351,13 @@ async fn gone_gateway_behind_a_frozen_router_gets_no_request() {
         pair.near.post(&far(path), &json!({})).await.problem(503, "gateway_gone");
     }
     pair.router.thaw();
-    until_whole(&pair.near, 2).await;
+    // Zenoh 1.10 can lose a session that reconnects while its router still closes the former connection, because it
+    // removes both by the session's id. A further outage lets both gateways connect anew.
+    while timeout(RECONNECTED_WITHIN, until_whole(&pair.near, 2)).await.is_err() {
+        pair.router.freeze();
+        until_gone(&pair.near, "far").await;
+        pair.router.thaw();
+    }
     assert_eq!(pair.proxy.frames.motions(), before, "no request was delivered late");
 }
 

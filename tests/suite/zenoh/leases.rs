@@ -65,7 +65,7 @@ async fn part_of_a_lost_client_stays_reserved_for_it() {
     let state = rig.gateway.state().await;
     assert_eq!((&state["state"], &state["fast_stop"]), (&json!("HOLDING"), &json!(false)));
     let open = json!({"width_mm": 60, "speed_mm_s": 400});
-    assert_eq!(rig.client.command("release", &open).await.unwrap_err()["code"], "lease_held");
+    assert_eq!(rig.client.command("release", &open).await.unwrap_err()["code"], "reserved");
     let again = robot.command("lease.take?client=robot-1", &json!({"holder": "robot-1"})).await.unwrap();
     assert_eq!(again["held"], true);
 }

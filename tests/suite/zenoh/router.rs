@@ -8,7 +8,7 @@ use serde_json::json;
 use super::commands::readiness;
 use super::fleet::gateway;
 use crate::harness::child::{Child, Signal};
-use crate::harness::{eventually, zenoh::config};
+use crate::harness::{eventually, port_for_later, zenoh::config};
 
 /// Environment variable that turns [`router_process`] into a router.
 const ROUTER_AT: &str = "WSG_TEST_ZENOH_ROUTER_AT";
@@ -22,8 +22,7 @@ pub struct Router {
 impl Router {
     /// Starts a router on a free port.
     pub fn start() -> Self {
-        let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
-        Self::at(format!("tcp/127.0.0.1:{port}"))
+        Self::at(format!("tcp/127.0.0.1:{}", port_for_later()))
     }
 
     pub fn endpoint(&self) -> &str {

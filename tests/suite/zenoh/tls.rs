@@ -3,7 +3,7 @@
 use rcgen::{BasicConstraints, CertificateParams, DnType, IsCa, Issuer, KeyPair};
 use serde_json::{Value, json};
 use wsg_gateway::access::Right;
-use wsg_gateway::operations::OPERATIONS;
+use wsg_gateway::operations::all;
 
 use crate::harness::{Directory, Gateway, MOTIONS, Proxy, Simulator, ZenohClient, eventually, zenoh::config};
 
@@ -94,7 +94,7 @@ async fn observer_reads_and_stops_but_moves_nothing() {
     received.until("wsg/v1/gateway/g/state", |state| state["link"] == "connected").await;
     assert_eq!(observer.ask("wsg/v1/gateway/g/state", &Value::Null).await.unwrap()["gripper"], "g");
     assert_eq!(observer.ask("wsg/v1/gateway/fleet", &Value::Null).await.unwrap()["grippers"][0]["gripper"], "g");
-    for operation in OPERATIONS.iter().filter(|operation| operation.right == Right::Read) {
+    for operation in all().filter(|operation| operation.right == Right::Read) {
         let of_gripper = if operation.is_of_gripper() { "/g" } else { "" };
         let key = format!("wsg/v1/gateway{of_gripper}/command/{}", operation.name);
         assert!(!observer.all(&key, "").await.is_empty(), "{key} gets no reply");

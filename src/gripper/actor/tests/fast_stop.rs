@@ -1,9 +1,9 @@
 //! FAST STOPs and faults of the device.
 
 use super::*;
-use crate::gripper::error::Conflict;
-use crate::gripper::latch;
-use crate::gripper::model::{Fault, LeaseToken, TakeLease};
+use crate::latch;
+use model::error::Conflict;
+use model::{Fault, LeaseToken, TakeLease};
 
 fn acknowledge_fault(rig: &mut Rig, client: Client) -> oneshot::Receiver<Result<(), Rejection>> {
     rig.request(|answer| ActorRequest::AcknowledgeFault { client, lease: None, answer })
@@ -50,7 +50,7 @@ fn fault_under_a_foreign_lease_is_not_acknowledged() {
 
 fn on_change() -> Rig {
     let updates = UpdateRules { mode: UpdateMode::Changes, ..UpdateRules::default() };
-    Rig::connected(ActorConfig { updates, ..config(TCP) })
+    Rig::connected(ActorConfig { rules: GripperRules { updates, ..GripperRules::default() }, ..config(TCP) })
 }
 
 #[test]

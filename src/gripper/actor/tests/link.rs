@@ -1,8 +1,8 @@
 //! Setting up the device again, and releasing it to another program.
 
 use super::*;
-use crate::gripper::error::Conflict;
-use crate::wsg::{Data, Force, VerbatimCommand};
+use model::error::Conflict;
+use wsg::{Data, Force, VerbatimCommand};
 
 fn disconnect(rig: &mut Rig) -> oneshot::Receiver<Result<(), Rejection>> {
     rig.request(|answer| ActorRequest::Disconnect { client: client(), lease: None, answer })
@@ -33,7 +33,7 @@ fn new_setup_keeps_the_value_of_a_setter_in_flight() {
     rig.now.instant += Duration::from_millis(200);
     flags_update(&mut rig);
     rig.exchange();
-    assert_ne!(rig.state().link, crate::gripper::model::Link::Connected);
+    assert_ne!(rig.state().link, model::Link::Connected);
     rig.device.held.clear();
     rig.device.force_n = 30.0;
     rig.reply(id::SET_FORCE_LIMIT, Status::E_SUCCESS, &[]);
@@ -42,7 +42,7 @@ fn new_setup_keeps_the_value_of_a_setter_in_flight() {
     for _ in 0..2 {
         rig.pass(10);
     }
-    assert_eq!(rig.state().link, crate::gripper::model::Link::Connected);
+    assert_eq!(rig.state().link, model::Link::Connected);
     assert_eq!(answered.try_recv().unwrap(), Ok(Data::ForceLimit(Force::new(30.0).unwrap())));
     assert!((rig.device.force_n - 30.0).abs() < 0.1, "{} N", rig.device.force_n);
 }

@@ -7,17 +7,19 @@ use prometheus::Registry;
 use tokio::sync::oneshot;
 
 use super::*;
-use crate::gripper::error::Rejection;
-use crate::gripper::handle::ResultSender;
-use crate::gripper::model::{Client, Door, FastStopCause, FastStopId, Reason, State, UpdateMode};
-use crate::wsg::{Status, SystemState, frame};
+use crate::handle::ResultSender;
+use model::error::Rejection;
+use model::{Client, Door, FastStopCause, FastStopId, Reason, State, UpdateMode, UpdateRules};
+use wsg::{Status, SystemState, frame};
 
 mod fast_stop;
+mod flicker;
 mod link;
 mod motion;
 mod reconfiguration;
+mod streaming;
 
-pub(in crate::gripper) const TCP: LinkProperties = LinkProperties {
+pub(crate) const TCP: LinkProperties = LinkProperties {
     name: "tcp",
     connection_oriented: true,
     bytes_per_second: None,
@@ -27,25 +29,19 @@ pub(in crate::gripper) const TCP: LinkProperties = LinkProperties {
 
 const UDP: LinkProperties = LinkProperties { name: "udp", connection_oriented: false, may_duplicate: true, ..TCP };
 
-pub(in crate::gripper) fn config(properties: LinkProperties) -> ActorConfig {
+pub(crate) fn config(properties: LinkProperties) -> ActorConfig {
     ActorConfig {
         gateway: "gateway".parse().unwrap(),
         name: "g".parse().unwrap(),
         url: "test://g".to_owned(),
         properties,
-        fast_stop_on_disconnect: true,
-        custom_ids: CustomIds::default(),
-        updates: UpdateRules::default(),
-        motion_pause: Duration::from_millis(50),
-        drain: Duration::from_secs(2),
-        on_journal_failure: OnJournalFailure::Refuse,
-        lease: LeaseRules::default(),
+        rules: GripperRules::default(),
         seed: 1,
         metrics: GripperMetrics::register(&Registry::new(), &"g".parse().unwrap()).unwrap(),
     }
 }
 
-pub(in crate::gripper) fn client() -> Client {
+pub(crate) fn client() -> Client {
     Client::new("test", Door::Http)
 }
 
@@ -115,7 +111,7 @@ impl Rig {
         let mut rig = Self { actor, watches, now: Now::read(), ids: IdSource::new(2), device };
         rig.actor.link_up(rig.now);
         rig.exchange();
-        assert_eq!(rig.state().link, crate::gripper::model::Link::Connected);
+        assert_eq!(rig.state().link, model::Link::Connected);
         rig.device.received.clear();
         rig
     }

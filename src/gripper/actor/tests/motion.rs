@@ -1,10 +1,10 @@
 //! Ends of motions.
 
 use super::*;
-use crate::gripper::handle::Ticket;
-use crate::gripper::model::{Action, Code, CommandId, Motion, Outcome, Submission};
-use crate::gripper::recorder::Record;
-use crate::wsg::{Force, Speed, Width};
+use crate::handle::Ticket;
+use crate::recorder::Record;
+use model::{Action, Code, CommandId, Motion, Outcome, Submission};
+use wsg::{Force, Speed, Width};
 
 /// Begins a motion whose replies the device holds back.
 fn release(rig: &mut Rig) -> (CommandId, Ticket) {

@@ -3,9 +3,9 @@
 use std::sync::Arc;
 
 use super::*;
-use crate::gripper::Connector;
-use crate::gripper::handle::Reconfiguration;
-use crate::transport::Address;
+use crate::Connector;
+use crate::handle::Reconfiguration;
+use transport::Address;
 
 const OTHER: &str = "tcp://192.168.1.21:1000";
 
@@ -41,10 +41,11 @@ fn new_device_follows_a_clean_disconnect() {
 fn rules_change_without_a_new_link() {
     let mut rig = Rig::connected(config(TCP));
     rig.device.received.clear();
-    let new = ActorConfig { fast_stop_on_disconnect: false, ..config(TCP) };
+    let rules = GripperRules { fast_stop_on_disconnect: false, ..GripperRules::default() };
+    let new = ActorConfig { rules, ..config(TCP) };
     assert!(reconfigure(&mut rig, new, None).try_recv().is_ok());
     assert!(rig.device.received.is_empty() && rig.actor.take_connector().is_none());
-    assert_eq!(rig.state().link, crate::gripper::model::Link::Connected);
+    assert_eq!(rig.state().link, model::Link::Connected);
     let info = rig.watches.info.borrow().clone();
     assert!(!info.stops_on_gateway_loss && info.serial_number.is_some());
 }

@@ -2,44 +2,57 @@
 //!
 //! The pages are part of the program, because a cell may have no internet. A page is rendered when it is first asked for.
 
+mod page;
+
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use axum::body::Bytes;
 use axum::extract::Path;
-use axum::http::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderValue};
+use axum::http::StatusCode;
+use axum::http::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderValue, LOCATION};
 use axum::response::{Html, IntoResponse, Response};
 use axum::{Router, routing};
-use comrak::Options;
 use rust_embed::Embed;
 
 use crate::interfaces::on_demand::OnDemand;
 use crate::operations::Problem;
+use page::INDEX;
 
 /// The guides, and the files next to them that the guides link to.
 #[derive(Embed)]
 #[folder = "deploy"]
 struct Files;
 
-/// The page that lists the others.
-const INDEX: &str = "README";
-
 const STYLE: &str = include_str!("style.css");
 
-/// The pages load their style from here and nothing else from anywhere.
+const SCRIPT: &str = include_str!("page.js");
+
+/// The pages load their style, their script and the text for the search from here, and nothing else from anywhere.
 const POLICY: HeaderValue = HeaderValue::from_static(
-    "default-src 'none'; style-src 'self'; img-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "default-src 'none'; style-src 'self'; script-src 'self'; connect-src 'self'; img-src 'self'; base-uri 'none'; \
+     form-action 'none'; frame-ancestors 'none'",
 );
+
+/// A browser asks each time whether the gateway has another version.
+const CACHING: HeaderValue = HeaderValue::from_static("no-cache");
 
 /// Returns the routes of the guides.
 pub fn pages<S: Clone + Send + Sync + 'static>() -> Router<S> {
     let guides = Arc::new(Guides::default());
     let index = guides.clone();
     let index = routing::get(async move || index.page(INDEX).await);
+    let search = Arc::new(OnDemand::new(searched));
     Router::new()
-        .route("/docs/guide", index.clone())
+        // The links of the pages are relative, so that a proxy can serve them below any path.
+        .route("/docs/guide", routing::get(async || (StatusCode::TEMPORARY_REDIRECT, [(LOCATION, "guide/")])))
         .route("/docs/guide/", index)
-        .route("/docs/guide/style.css", routing::get(async || ([(CONTENT_TYPE, "text/css")], STYLE)))
+        .route("/docs/guide/style.css", routing::get(async || part("text/css", STYLE.into())))
+        .route("/docs/guide/page.js", routing::get(async || part("text/javascript", SCRIPT.into())))
+        .route(
+            "/docs/guide/search.json",
+            routing::get(async move || Ok::<_, Problem>(part("application/json", search.get().await?.clone()))),
+        )
         .route("/docs/guide/{name}", routing::get(async move |Path(name): Path<String>| guides.page(&name).await))
         .route("/docs/files/{*path}", routing::get(async |Path(path): Path<String>| file(&path)))
 }
@@ -49,8 +62,7 @@ struct Guides(BTreeMap<String, OnDemand<Bytes>>);
 
 impl Default for Guides {
     fn default() -> Self {
-        let names = Files::iter().filter_map(|path| Some(path.strip_prefix("guide/")?.strip_suffix(".md")?.to_owned()));
-        Self(names.map(|name| (name.clone(), OnDemand::new(move || rendered(&name).into()))).collect())
+        Self(names().map(|name| (name.clone(), OnDemand::new(move || rendered(&name).into()))).collect())
     }
 }
 
@@ -59,54 +71,32 @@ impl Guides {
         let name = name.strip_suffix(".md").unwrap_or(name);
         let page = self.0.get(name).ok_or_else(|| Problem::not_found("such guide"))?;
         let html = Html(page.get().await?.clone());
-        let caching = HeaderValue::from_static("no-cache");
-        Ok(([(CONTENT_SECURITY_POLICY, POLICY), (CACHE_CONTROL, caching)], html).into_response())
+        Ok(([(CONTENT_SECURITY_POLICY, POLICY), (CACHE_CONTROL, CACHING)], html).into_response())
     }
 }
 
 fn rendered(name: &str) -> String {
-    let markdown = text(&format!("guide/{name}.md")).unwrap_or_default();
-    let title = markdown.lines().next().unwrap_or_default().trim_start_matches('#').trim();
-    let body = comrak::markdown_to_html(&markdown, &options());
-    format!(
-        r#"<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{title} · WSG Gateway</title>
-<link rel="stylesheet" href="/docs/guide/style.css">
-</head>
-<body>
-<nav><a href="/docs/guide">Guides</a> <a href="/docs">HTTP API</a> <a href="/">Dashboard</a></nav>
-<main>
-{body}</main>
-</body>
-</html>
-"#
-    )
+    page::rendered(name, &markdown(name)).unwrap_or_default()
 }
 
-/// Returns the extensions that the guides use, with anchors as GitHub makes them.
-fn options() -> Options<'static> {
-    let mut options = Options::default();
-    options.extension.table = true;
-    options.extension.header_id_prefix = Some(String::new());
-    options.extension.link_url_rewriter = Some(Arc::new(|link: &str| served_at(link)));
-    options
+/// Returns the sections of all guides as JSON.
+fn searched() -> Bytes {
+    let sections: Vec<_> = names().flat_map(|name| page::sections(&name, &markdown(&name))).collect();
+    serde_json::to_vec(&sections).unwrap_or_default().into()
 }
 
-/// Returns where the target of a link between the files of `deploy` is served.
-fn served_at(link: &str) -> String {
-    let (path, anchor) = link.split_at(link.find('#').unwrap_or(link.len()));
-    if let Some(file) = path.strip_prefix("../") {
-        return format!("/docs/files/{file}");
-    }
-    match path.strip_suffix(".md") {
-        Some(INDEX) => format!("/docs/guide{anchor}"),
-        Some(name) if !name.contains('/') => format!("/docs/guide/{name}{anchor}"),
-        _ => link.to_owned(),
-    }
+/// Returns the names of all guides, without `.md`.
+fn names() -> impl Iterator<Item = String> {
+    Files::iter().filter_map(|path| Some(path.strip_prefix("guide/")?.strip_suffix(".md")?.to_owned()))
+}
+
+fn markdown(name: &str) -> String {
+    text(&format!("guide/{name}.md")).unwrap_or_default()
+}
+
+/// Serves a part of the pages.
+fn part(content_type: &'static str, content: Bytes) -> Response {
+    ([(CONTENT_TYPE, HeaderValue::from_static(content_type)), (CACHE_CONTROL, CACHING)], content).into_response()
 }
 
 /// Serves a file that a guide links to. Text is shown as it is, never run.

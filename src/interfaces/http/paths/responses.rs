@@ -2,10 +2,11 @@
 
 use std::collections::BTreeMap;
 
+use serde_json::{Map, Value, json};
 use utoipa::openapi::{Components, ContentBuilder, HeaderBuilder, Ref, RefOr, Response, ResponseBuilder};
 use utoipa::{IntoResponses, ToSchema};
 
-use crate::operations::Members;
+use crate::operations::{Members, problem_sets};
 
 /// Statuses of problems: status, name in the document, and description with the codes.
 const PROBLEMS: &[(&str, &str, &str)] = &[
@@ -23,7 +24,7 @@ const PROBLEMS: &[(&str, &str, &str)] = &[
         "409",
         "Conflict",
         "`fast_stop`, `not_referenced`, `already_running`, `release_first`, `lease_held`, `stale_lease`, `stale_fast_stop`, \
-         `fast_stop_unconfirmed`, `request_id_reused`, `name_taken`, `invalid_configuration`, `number_taken`: not possible in the current \
+         `fast_stop_unconfirmed`, `request_id_reused`, `name_taken`, `invalid_configuration`, `number_taken`, `unknown_past`, `reserved`: not possible in the current \
          state; the problem's members name the cause",
     ),
     (
@@ -32,6 +33,7 @@ const PROBLEMS: &[(&str, &str, &str)] = &[
         "`precondition_failed`: the recipe does not have the version that the request expects",
     ),
     ("413", "TooLarge", "`too_large`: the body is larger than `max` bytes"),
+    ("415", "UnsupportedEncoding", "`unsupported_encoding`: the body is compressed"),
     (
         "422",
         "Unprocessable",
@@ -41,8 +43,8 @@ const PROBLEMS: &[(&str, &str, &str)] = &[
     (
         "429",
         "Overloaded",
-        "`overloaded`: too many requests are in progress or wait for this gripper, too many WebSockets are open, or the \
-         device tag was written less than a second ago. Try again later",
+        "`overloaded`: too many requests are in progress or wait for this gripper, too many WebSockets are open, \
+         the client changes recipes too fast, or the device tag was written less than a second ago. Try again later",
     ),
     ("500", "Internal", "`internal`: internal error; see the gateway's log"),
     ("502", "DeviceProtocol", "`device_protocol`: the device's reply is invalid"),
@@ -61,63 +63,41 @@ const PROBLEMS: &[(&str, &str, &str)] = &[
 ];
 
 /// Further problems of an operation on a gripper of another gateway.
-pub const FORWARDED: &[(&str, &str)] =
-    &[("404", "NotFound"), ("429", "Overloaded"), ("503", "LinkDown"), ("504", "DeviceTimeout")];
+pub const FORWARDED: &[u16] = &[404, 429, 503, 504];
 
+/// Sets of problems of the routes without an operation, for utoipa's macro.
 macro_rules! sets {
-    ($($(#[$doc:meta])* $name:ident [$($status:literal)*];)*) => {$(
-        $(#[$doc])*
+    ($($name:ident $statuses:expr;)*) => {$(
         pub struct $name;
 
         impl IntoResponses for $name {
             fn responses() -> BTreeMap<String, RefOr<Response>> {
-                references(&[$($status),*])
+                named($statuses).map(|(status, name)| (status.to_owned(), RefOr::Ref(Ref::from_response_name(name)))).collect()
             }
         }
     )*};
 }
 
 sets! {
-    /// Problems of a FAST STOP of one gripper, which is never refused in favour of others.
-    FastStopProblem ["400" "401" "403" "404" "422" "500"];
-    /// Problems of a FAST STOP of several grippers.
-    FastStopsProblem ["400" "401" "403" "500"];
-    /// Problems that every other operation can have.
-    AnyProblem ["400" "401" "403" "429" "500"];
-    /// Problems of operations that read the gateway's own knowledge of a gripper.
-    GripperProblem ["400" "401" "403" "404" "422" "429" "500"];
-    /// Problems of operations that change the gateway's own knowledge of a gripper.
-    KnowledgeProblem ["400" "401" "403" "404" "408" "413" "422" "429" "500" "503"];
-    /// Problems of operations that ask a gripper's actor about its commands.
-    CommandProblem ["400" "401" "403" "404" "408" "413" "422" "429" "500" "503"];
-    /// Problems of operations that request the lease.
-    LeaseProblem ["400" "401" "403" "404" "408" "409" "413" "422" "429" "500" "503"];
-    /// Problems of testing a webhook.
-    WebhookProblem ["400" "401" "403" "404" "408" "413" "422" "429" "500"];
-    /// Problems of reading the configuration again.
-    ReloadProblem ["400" "401" "403" "408" "409" "413" "429" "500"];
-    /// Problems of signing in and out.
-    SessionProblem ["400" "401" "403" "404" "408" "413" "422" "429" "500"];
-    /// Problems of changing recipes.
-    RecipeProblem ["400" "401" "403" "404" "408" "409" "412" "413" "422" "429" "500" "503"];
-    /// Problems of copying recipes to another gateway.
-    CopyProblem ["400" "401" "403" "404" "408" "409" "412" "413" "422" "429" "500" "502" "503" "504"];
-    /// Problems of opening a WebSocket.
-    SocketProblem ["400" "401" "403" "429" "500"];
-    /// Problems of reading the journal.
-    JournalProblem ["400" "401" "403" "404" "422" "429" "500" "503"];
-    /// Problems of operations that send requests to the device.
-    DeviceProblem ["400" "401" "403" "404" "408" "409" "413" "422" "429" "500" "502" "503" "504"];
-    /// Problems of motions that can follow a recipe.
-    RecipeMotionProblem ["400" "401" "403" "404" "408" "409" "412" "413" "422" "429" "500" "502" "503" "504"];
+    AnyProblem problem_sets::ANY;
+    SessionProblem problem_sets::WEBHOOK;
+    RecipeProblem problem_sets::RECIPE;
+    SocketProblem problem_sets::ANY;
+    JournalProblem problem_sets::JOURNAL;
 }
 
-fn references(statuses: &[&str]) -> BTreeMap<String, RefOr<Response>> {
-    PROBLEMS
-        .iter()
-        .filter(|(status, ..)| statuses.contains(status))
-        .map(|(status, name, _)| ((*status).to_owned(), RefOr::Ref(Ref::from_response_name(*name))))
-        .collect()
+/// Returns references to the problems with these statuses.
+pub fn references(statuses: &[u16]) -> Map<String, Value> {
+    let mut references = Map::new();
+    for (status, name) in named(statuses) {
+        references.insert(status.to_owned(), json!({"$ref": format!("#/components/responses/{name}")}));
+    }
+    references
+}
+
+fn named(statuses: &[u16]) -> impl Iterator<Item = (&'static str, &'static str)> {
+    let is_listed = |status: &str| status.parse().is_ok_and(|status| statuses.contains(&status));
+    PROBLEMS.iter().filter(move |(status, ..)| is_listed(status)).map(|(status, name, _)| (*status, *name))
 }
 
 /// Adds the responses that the operations refer to.

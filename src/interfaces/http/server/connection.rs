@@ -9,8 +9,8 @@ use std::time::Duration;
 
 use axum::Router;
 use axum::body::Body;
-use axum::http::header::STRICT_TRANSPORT_SECURITY;
-use axum::http::{HeaderName, HeaderValue, Request, StatusCode};
+use axum::http::header::{CONNECTION, STRICT_TRANSPORT_SECURITY};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Request, StatusCode, Version};
 use axum::response::{IntoResponse as _, Response};
 use futures_util::future::{BoxFuture, FutureExt as _, TryFutureExt as _};
 use hyper::body::{Body as _, Incoming};
@@ -24,12 +24,13 @@ use tokio_util::either::Either;
 use tokio_util::sync::CancellationToken;
 use tower::ServiceExt;
 
+use super::super::asked::OperationPaths;
 use super::super::context::HttpContext;
-use super::super::fast_stop::{is_fast_stop, is_stop};
 use super::super::handshakes::Handshakes;
 use super::super::operation::Compact;
 use super::super::runtime_mover::RuntimeMover;
 use super::super::settings::HttpSettings;
+use super::super::tickets;
 use super::super::visitor::{Identified, accepted_cookie};
 use super::inspection::Begun;
 use crate::access::ClientOrigin;
@@ -37,6 +38,7 @@ use crate::interfaces::admission::{Admission, Bounds, ConnectionPermit};
 use crate::interfaces::client_stream::ClientStream;
 use crate::interfaces::metrics::Connected;
 use crate::interfaces::pace::RequestPace;
+use crate::model::Urgency;
 
 const KEEP_ALIVE: HeaderName = HeaderName::from_static("keep-alive");
 
@@ -75,6 +77,7 @@ impl Default for ServerLimits {
 /// State shared by all connections of a server.
 pub(super) struct Server {
     pub(super) router: Router,
+    pub(super) paths: OperationPaths,
     pub(super) context: Arc<HttpContext>,
     pub(super) admission: Arc<Admission>,
     pub(super) limits: ServerLimits,
@@ -113,7 +116,7 @@ impl Server {
             .timer(TokioTimer::new())
             // The router adds the date, except to compact responses.
             .auto_date_header(false)
-            .header_read_timeout(self.context.settings.get().idle_time)
+            .header_read_timeout(self.context.settings.get().web.idle_timeout)
             .max_header_size(MAX_HEADER_BYTES)
             .max_buf_size(MAX_BUFFER_BYTES)
             .serve_connection(TokioIo::new(stream), service)
@@ -218,25 +221,33 @@ impl Service<Request<Incoming>> for Requests {
     type Future = BoxFuture<'static, Result<Response, Infallible>>;
 
     fn call(&self, mut request: Request<Incoming>) -> Self::Future {
+        let asked = self.server.paths.mark(&mut request);
         // A connection that continues after its first FAST STOP is treated like all others.
-        if self.has_request.swap(true, Ordering::Relaxed) || !is_fast_stop(&request) {
+        if self.has_request.swap(true, Ordering::Relaxed) || asked.urgency() != Urgency::FastStop {
             self.mover.leave(&self.server.context.runtimes.accept, &self.server.context.runtimes.requests);
         }
         if !request.body().is_end_stream() {
             self.permit.receiving();
         }
         let (settings, access) = (self.server.context.settings.get(), &self.server.context.gateway.access);
-        let cookie = accepted_cookie(request.headers(), &settings);
-        let identified = Identified::of(access, request.headers(), self.origin.clone(), cookie);
+        let origin = self.origin.clone();
+        let identified = if let Some(ticket) = tickets::presented(&request) {
+            Identified::with(access, access.take_ticket(&ticket), origin)
+        } else {
+            let cookie = accepted_cookie(request.headers(), &settings);
+            Identified::of(access, request.headers(), origin, cookie.as_deref())
+        };
         let extensions = request.extensions_mut();
         extensions.insert(identified);
         extensions.insert(self.permit.clone());
         extensions.insert(self.mover.clone());
         extensions.insert(self.pace.clone());
-        let is_stop = is_stop(&request);
+        let is_last = is_last(&request);
         let response = self.server.router.clone().oneshot(request.map(Body::new));
-        let response = response.map_ok(move |response| with_headers(response, &settings));
-        if is_stop {
+        let permit = self.permit.clone();
+        let response =
+            response.map_ok(move |response| with_headers(response, &settings, is_last || permit.is_evicted()));
+        if asked.stops() {
             // Does not depend on its connection: hyper drops a request unpolled if the client has closed already.
             let panicked = |_| Ok(StatusCode::INTERNAL_SERVER_ERROR.into_response());
             return tokio::spawn(response).map(move |answered| answered.unwrap_or_else(panicked)).boxed();
@@ -254,14 +265,31 @@ impl Service<Request<Incoming>> for Requests {
     }
 }
 
-/// Tells the client how long an idle connection stays open, and browsers to use only TLS.
-fn with_headers(mut response: Response, settings: &HttpSettings) -> Response {
+/// Whether a client wants its connection to end after this request (RFC 9112, 9.3).
+fn is_last(request: &Request<Incoming>) -> bool {
+    let is_old = request.version() == Version::HTTP_10 && !has_option(request.headers(), "keep-alive");
+    is_old || has_option(request.headers(), "close")
+}
+
+/// Whether a message has this connection option (RFC 9110, 7.6.1).
+fn has_option(headers: &HeaderMap, option: &str) -> bool {
+    let values = headers.get_all(CONNECTION).iter().filter_map(|value| value.to_str().ok());
+    values.flat_map(|value| value.split(',')).any(|given| given.trim().eq_ignore_ascii_case(option))
+}
+
+/// Adds the headers of a connection: how long it stays open while it is idle, unless it `ends`, and that browsers use
+/// only TLS.
+fn with_headers(mut response: Response, settings: &HttpSettings, ends: bool) -> Response {
     let is_switched = response.status() == StatusCode::SWITCHING_PROTOCOLS;
-    if !is_switched && response.extensions().get::<Compact>().is_none() {
-        response.headers_mut().insert(KEEP_ALIVE, settings.keep_alive());
-        if settings.tls.is_some() {
-            response.headers_mut().insert(STRICT_TRANSPORT_SECURITY, ONLY_TLS);
-        }
+    if is_switched || response.extensions().get::<Compact>().is_some() {
+        return response;
+    }
+    let headers = response.headers_mut();
+    if !ends && !has_option(headers, "close") {
+        headers.insert(KEEP_ALIVE, settings.keep_alive());
+    }
+    if settings.tls.is_some() {
+        headers.insert(STRICT_TRANSPORT_SECURITY, ONLY_TLS);
     }
     response
 }

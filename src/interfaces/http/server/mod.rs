@@ -19,6 +19,7 @@ use tokio::sync::{OwnedSemaphorePermit, watch};
 use tokio::time::{sleep, timeout};
 use tokio_util::sync::CancellationToken;
 
+use super::asked::OperationPaths;
 use super::context::HttpContext;
 use super::fast_stop::{begins_with_fast_stop, may_be_fast_stop};
 use super::handshakes::Handshakes;
@@ -51,8 +52,15 @@ pub async fn serve(listeners: Listeners, context: Arc<HttpContext>, limits: Serv
     if let Err(error) = Usage::register(&context.registry, "http", &admission) {
         tracing::warn!(%error, "connection metrics unavailable");
     }
-    let (router, closing, handshakes) = (router(&context), shutdown.child_token(), Handshakes::default());
-    let server = Arc::new(Server { router, context, admission, limits, handshakes, closing });
+    let server = Arc::new(Server {
+        router: router(&context),
+        paths: OperationPaths::default(),
+        admission,
+        limits,
+        handshakes: Handshakes::default(),
+        closing: shutdown.child_token(),
+        context,
+    });
     tokio::select! {
         biased;
         () = shutdown.cancelled() => {}
@@ -134,7 +142,7 @@ impl Server {
         connected: Connected,
     ) {
         let settings = self.context.settings.get();
-        let idle_time = settings.idle_time;
+        let idle_time = settings.web.idle_timeout;
         let begun = if settings.tls.is_none() {
             match inspect(stream, peer, &permit, idle_time).await {
                 Inspected::Begun(begun) => Some(begun),

@@ -4,7 +4,7 @@ use serde_json::json;
 
 use super::*;
 use crate::gripper::Conflict;
-use crate::gripper::model::Action;
+use crate::model::Action;
 
 #[tokio::test]
 async fn fast_stop_ignores_invalid_bodies() {

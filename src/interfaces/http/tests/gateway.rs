@@ -3,8 +3,8 @@
 use super::*;
 use crate::gripper::Now;
 use crate::gripper::Recorder as _;
-use crate::gripper::model::{Detail, Event, GatewayEvent};
 use crate::gripper::recorder::Record;
+use crate::model::{Detail, Event, GatewayEvent};
 
 #[tokio::test]
 async fn readiness_names_its_causes() {
@@ -14,7 +14,8 @@ async fn readiness_names_its_causes() {
     assert_eq!(
         answer.body,
         json!({
-            "gateway": "wsg", "version": env!("CARGO_PKG_VERSION"), "ready": false, "journal_cause": null, "journal_damage": null, "zenoh_cause": null,
+            "gateway": "wsg", "version": env!("CARGO_PKG_VERSION"), "ready": false, "journal_cause": null, "journal_damage": null,
+            "journal_restored": null, "zenoh_cause": null,
             "not_ready": ["left: connecting: not reached yet"], "warnings": []
         })
     );

@@ -2,8 +2,8 @@
 
 use super::*;
 use crate::gripper::Recorder as _;
-use crate::gripper::model::{Detail, Event, GatewayEvent, GripRecord, IdSource, Kind, Outcome, RequestedValues};
 use crate::gripper::recorder::Record;
+use crate::model::{Detail, Event, GatewayEvent, GripRecord, IdSource, Kind, Outcome, RequestedValues};
 use jiff::Timestamp;
 
 fn record(number: u64, kind: Kind) -> GripRecord {
@@ -93,5 +93,18 @@ async fn lists_name_their_journal() {
     let table = gateway.send(request.header(header::ACCEPT, "text/csv").body(Body::empty()).unwrap()).await;
     assert_eq!(table.headers["journal-id"], id);
     assert_eq!(table.headers["next-cursor"], "1");
+    for (accepted, is_table) in [
+        ("text/csv; charset=utf-8", true),
+        ("text/csv;header=present, application/json;q=0.5", true),
+        ("application/json, text/csv; charset=utf-8", false),
+        ("application/json;charset=utf-8", false),
+        ("*/*", false),
+        ("text/*; q=0.3", true),
+    ] {
+        let request = Request::get("/api/v1/grips").header(header::HOST, "localhost");
+        let page = gateway.send(request.header(header::ACCEPT, accepted).body(Body::empty()).unwrap()).await;
+        let kind = if is_table { "text/csv; charset=utf-8" } else { "application/json" };
+        assert_eq!(page.headers[header::CONTENT_TYPE], kind, "{accepted}");
+    }
     assert!(table.body.as_str().unwrap().ends_with(",wsg,4711,,,20.0,,,,,,,,,0.0,\n"), "{}", table.body);
 }

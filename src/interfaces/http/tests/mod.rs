@@ -2,6 +2,7 @@
 
 mod alarms;
 mod device;
+mod documents;
 mod fast_stop;
 mod fleet;
 mod gateway;
@@ -25,15 +26,17 @@ use serde_json::{Value, json};
 use tokio::sync::mpsc::UnboundedReceiver;
 use tower::ServiceExt;
 
+use super::asked::OperationPaths;
 use super::context::HttpContext;
 use super::router::router;
 use crate::gripper::Rejection;
 use crate::gripper::fake::{self, FakeScript, Fate, Seen};
-use crate::gripper::model::{Action, CommandId};
 use crate::journal::Journal;
+use crate::model::{Action, CommandId};
 use crate::wsg::{self, Data};
 
 struct Gateway {
+    paths: OperationPaths,
     router: Router,
     seen: UnboundedReceiver<Seen>,
 }
@@ -51,12 +54,13 @@ impl Gateway {
 
     fn with_journal(script: FakeScript) -> (Self, Journal) {
         let (handle, seen) = fake::gripper("left", script);
-        let context = HttpContext::of([handle]);
+        let context = Arc::new(HttpContext::of([handle]));
         let journal = context.gateway.journal.clone();
-        (Self { router: router(&Arc::new(context)), seen }, journal)
+        (Self { router: router(&context), paths: OperationPaths::default(), seen }, journal)
     }
 
-    async fn send(&self, request: Request<Body>) -> Answer {
+    async fn send(&self, mut request: Request<Body>) -> Answer {
+        self.paths.mark(&mut request);
         let (parts, body) = self.router.clone().oneshot(request).await.unwrap().into_parts();
         let bytes = body.collect().await.unwrap().to_bytes();
         let text = || String::from_utf8(bytes.to_vec()).map_or(Value::Null, Value::String);
@@ -121,6 +125,20 @@ async fn unknown_path_is_a_problem() {
 }
 
 #[tokio::test]
+async fn unknown_path_names_the_nearest() {
+    let gateway = Gateway::new(FakeScript::default());
+    let detail = async |path: &str| gateway.ask("POST", path, "{}").await.body["detail"].as_str().unwrap().to_owned();
+    for (path, nearest) in [
+        ("/api/v1/grippers/left/grasp", "/api/v1/grippers/left/grip"),
+        ("/api/v1/fleet/wsg/grippers/left/grasp", "/api/v1/fleet/wsg/grippers/left/grip"),
+        ("/grippers/left/home", "/api/v1/grippers/left/home"),
+    ] {
+        assert_eq!(detail(path).await, format!("no such path: did you mean {nearest}? /docs lists all paths"));
+    }
+    assert_eq!(detail("/nowhere").await, "no such path: /docs lists all paths");
+}
+
+#[tokio::test]
 async fn wrong_method_lists_the_allowed_ones() {
     let gateway = Gateway::new(FakeScript::default());
     let cases = [
@@ -144,7 +162,10 @@ async fn reads_do_not_reach_the_device() {
     assert_eq!(list.body["grippers"][0]["gripper"], "left");
     assert_eq!(gateway.ask("GET", "/api/v1/grippers/left", "").await.body["url"], "sim://wsg50");
     assert_eq!(gateway.ask("GET", "/api/v1/grippers/left/state", "").await.body["link"], "connecting");
-    assert_eq!(gateway.ask("GET", "/healthz", "").await.body, json!({"gateway": "wsg", "status": "ok"}));
+    assert_eq!(
+        gateway.ask("GET", "/healthz", "").await.body,
+        json!({"gateway": "wsg", "status": "ok", "fast_stop": "anyone"})
+    );
     assert!(gateway.seen.try_recv().is_err());
 }
 

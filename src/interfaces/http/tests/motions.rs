@@ -3,8 +3,8 @@
 use serde_json::json;
 
 use super::*;
-use crate::gripper::model::{CommandId, Motion, Outcome};
 use crate::gripper::{Conflict, DeviceRefusal, Invalid};
+use crate::model::{CommandId, Motion, Outcome};
 use crate::wsg::{Speed, Status, Width};
 
 #[tokio::test]

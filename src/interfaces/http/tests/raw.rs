@@ -4,7 +4,7 @@ use serde_json::json;
 
 use super::*;
 use crate::gripper::DeviceRefusal;
-use crate::gripper::model::Motion;
+use crate::model::Motion;
 use crate::wsg::{Acceleration, Status};
 
 #[tokio::test]

@@ -27,10 +27,10 @@ use tokio_util::sync::CancellationToken;
 use super::adu::{self, Header};
 use super::context::{ModbusContext, NewestSettings};
 use super::image::Image;
-use crate::gripper::clock;
-use crate::gripper::model::{Client, LeaseToken, LossCause, Name};
 use crate::interfaces::admission::{Claim, ConnectionPermit};
 use crate::interfaces::pace::RequestPace;
+use crate::model::clock;
+use crate::model::{Client, LeaseToken, LossCause, Name};
 use crate::operations::ConnectionLease;
 use pending::{OrderStep, Unanswered};
 

@@ -11,13 +11,13 @@ use super::super::image::{Ended, number_of};
 use super::super::order::ModbusOrder;
 use super::pending::{OrderKind, OrderStep, Target};
 use super::{ClientLease, ModbusConnection};
-use crate::gripper::model::{LeaseToken, LossCause, Name, TakeLease};
-use crate::gripper::{AcquiredLease, Handle, clock};
+use crate::gripper::{AcquiredLease, Handle};
 use crate::interfaces::admission::Class;
-use crate::operations::{Caller, Code, ConnectionLease, Effect, OperationReply, call};
-
-/// Name of the operation that ends a lease.
-const LEASE_RELEASE: &str = "lease.release";
+use crate::model::clock;
+use crate::model::{LeaseToken, LossCause, Name, TakeLease};
+use crate::operations::{
+    Caller, Code, ConnectionLease, Effect, Method, OperationReply, call, fast_stop, lease, motion,
+};
 
 impl ModbusConnection {
     /// Returns the client of a request with its rights, which a reload can change.
@@ -39,18 +39,18 @@ impl ModbusConnection {
         if let Target::Gripper(gripper) = target {
             params.insert("gripper".to_owned(), json!(gripper.name()));
         }
-        let stopped = async move {
-            // A refusal is recorded.
-            let _ = call(&gateway, caller, "fast-stop", Value::Object(params)).await;
-            OrderStep::Finished
-        };
-        self.begin(stopped.boxed());
+        // A refusal is recorded, and a panic logged.
+        let stopping =
+            tokio::spawn(
+                async move { call(&gateway, caller, Method::from(&fast_stop::ALL), Value::Object(params)).await },
+            );
+        self.begin(stopping.map(|_| OrderStep::Finished).boxed());
     }
 
     pub(super) fn order(&mut self, gripper: &Handle, number: u64, order: ModbusOrder) {
         let target = Target::Gripper(gripper.clone());
-        let (operation, fields, moves) = match self.operation(gripper, order) {
-            Ok(operation) => operation,
+        let (method, fields, moves) = match self.method(gripper, order) {
+            Ok(method) => method,
             Err(problem) => return self.image(&target).ended(number, Ended::refused(problem)),
         };
         let (gateway, mut caller) = (self.context.gateway.clone(), self.caller());
@@ -61,7 +61,7 @@ impl ModbusConnection {
         let claims = moves && held.is_none();
         let kind = match &token {
             Some(token) if moves => OrderKind::Motion { token: token.clone(), claims },
-            _ if operation == LEASE_RELEASE => OrderKind::ReleasesLease,
+            _ if method == Method::from(&lease::RELEASE) => OrderKind::ReleasesLease,
             _ => OrderKind::Other,
         };
         if claims {
@@ -72,7 +72,7 @@ impl ModbusConnection {
         params.insert("gripper".to_owned(), json!(gripper.name()));
         let gripper = gripper.clone();
         let ended = async move {
-            let result = call(&gateway, caller, operation, Value::Object(params)).await;
+            let result = call(&gateway, caller, method, Value::Object(params)).await;
             OrderStep::Ended { gripper, number, kind, result }
         };
         self.begin(ended.boxed());
@@ -84,31 +84,31 @@ impl ModbusConnection {
         Some(held.lease.token().clone())
     }
 
-    /// Returns the operation of an order with its parameters, and whether it moves the fingers.
-    fn operation(&mut self, gripper: &Handle, order: ModbusOrder) -> Result<(&'static str, Value, bool), Code> {
+    /// Returns the method of an order with its parameters, and whether it moves the fingers.
+    fn method(&mut self, gripper: &Handle, order: ModbusOrder) -> Result<(Method, Value, bool), Code> {
         let state = gripper.state();
         Ok(match order {
-            ModbusOrder::Motion { operation, fields } => (operation, fields, true),
+            ModbusOrder::Motion { method, fields } => (method, fields, true),
             ModbusOrder::Jog { opens, speed_mm_s } => {
                 let stroke_mm = gripper.info().stroke_mm.ok_or(Code::LinkDown)?;
                 let width_mm = if opens { stroke_mm } else { 0.0 };
-                ("move", json!({"width_mm": width_mm, "speed_mm_s": speed_mm_s}), true)
+                ((&motion::MOVE).into(), json!({"width_mm": width_mm, "speed_mm_s": speed_mm_s}), true)
             }
             ModbusOrder::StopOrAcknowledge if state.latch.is_some() => {
                 let number = self.image(&Target::Gripper(gripper.clone())).seen();
-                return self.operation(gripper, ModbusOrder::Acknowledge { number });
+                return self.method(gripper, ModbusOrder::Acknowledge { number });
             }
-            ModbusOrder::Stop | ModbusOrder::StopOrAcknowledge => ("stop", json!({}), false),
+            ModbusOrder::Stop | ModbusOrder::StopOrAcknowledge => ((&motion::STOP).into(), json!({}), false),
             ModbusOrder::Acknowledge { number } => match &state.latch {
                 Some(latch) if number_of(latch) == number => {
-                    ("acknowledge", json!({"fast_stop_id": latch.fast_stop_id}), false)
+                    ((&fast_stop::ACKNOWLEDGE).into(), json!({"fast_stop_id": latch.fast_stop_id}), false)
                 }
-                None if number == 0 => ("acknowledge", json!({}), false),
+                None if number == 0 => ((&fast_stop::ACKNOWLEDGE).into(), json!({}), false),
                 // Acknowledged already, or a newer one.
                 _ => return Err(Code::StaleFastStop),
             },
-            ModbusOrder::TakeLease(terms) => ("lease.take", terms, false),
-            ModbusOrder::ReleaseLease => (LEASE_RELEASE, json!({}), false),
+            ModbusOrder::TakeLease(terms) => ((&lease::TAKE).into(), terms, false),
+            ModbusOrder::ReleaseLease => ((&lease::RELEASE).into(), json!({}), false),
         })
     }
 

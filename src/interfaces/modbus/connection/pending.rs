@@ -3,8 +3,8 @@
 use std::time::Instant;
 
 use super::super::adu::Header;
-use crate::gripper::model::{LeaseToken, Name};
 use crate::gripper::{AcquiredLease, Handle};
+use crate::model::{LeaseToken, Name};
 use crate::operations::{OperationReply, Problem};
 
 /// A request whose command is being admitted.

@@ -13,8 +13,9 @@ use super::super::registers::{FAST_STOP_AT, GATEWAY_UNITS, INPUTS_AT, UnitRegist
 use super::super::status::{self, GripperView};
 use super::pending::{ReplyAfterWrite, Target, Unanswered};
 use super::{ConnectionEnd, ModbusConnection};
-use crate::gripper::model::{Name, State};
-use crate::gripper::{Handle, Now, clock};
+use crate::gripper::{Handle, Now};
+use crate::model::clock;
+use crate::model::{Name, State};
 use crate::operations::Code;
 
 /// Most registers in one read (Modbus Application Protocol V1.1b3, 6.3).

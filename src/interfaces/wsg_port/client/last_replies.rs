@@ -7,9 +7,9 @@ use tokio::io::{AsyncRead, AsyncWrite, AsyncWriteExt};
 use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 
-use super::super::device::PortOrder;
+use super::super::order::PortOrder;
 use super::Served;
-use crate::gripper::model::Action;
+use crate::model::Action;
 
 /// Time for the replies to a client that sends no more: longer than a motion that `on_loss_moving` lets finish.
 const REPLIES_AFTER_END_WITHIN: Duration = Duration::from_secs(30);

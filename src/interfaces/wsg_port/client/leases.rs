@@ -5,7 +5,7 @@ use tokio::io::{AsyncRead, AsyncWrite};
 
 use super::{Served, Step};
 use crate::gripper::Handle;
-use crate::gripper::model::{LossCause, State, TakeLease};
+use crate::model::{LossCause, State, TakeLease};
 
 impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
     /// Releases the lease of a client that has announced its disconnect, and loses that of any other.

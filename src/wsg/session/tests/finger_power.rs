@@ -3,7 +3,7 @@
 use super::*;
 
 fn power(on: bool) -> Command {
-    Command::FingerPower { finger: crate::wsg::Finger::Two, on }
+    Command::FingerPower { finger: crate::Finger::Two, on }
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Late and duplicate replies, and the Loops that separate them from new ones.
 
 use super::*;
-use crate::wsg::CustomCommand;
+use crate::CustomCommand;
 
 #[test]
 fn late_reply_does_not_end_next_request_of_its_id() {
