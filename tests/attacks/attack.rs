@@ -166,8 +166,12 @@ impl Row {
     fn lost(&self) -> Vec<String> {
         let lost = self.stops.iter().filter(|(_, stops)| stops.reached() < stops.wanted);
         let words = |(way, stops): &(Way, Stops)| {
-            let Stops { asked, wanted, .. } = stops;
-            format!("{way:?}: {} of {wanted} FAST STOPs reached the device, {asked} were sent", stops.reached())
+            let Stops { asked, wanted, first_loss, .. } = stops;
+            let lost = first_loss.as_deref().unwrap_or_default();
+            format!(
+                "{way:?}: {} of {wanted} FAST STOPs reached the device, {asked} were sent, lost: {lost}",
+                stops.reached()
+            )
         };
         lost.map(words).collect()
     }

@@ -63,8 +63,19 @@ pub struct Stops {
     /// Number of those whose client got an answer. Zenoh gives none to a put, which counts as answered once it has
     /// reached the device.
     pub answered: usize,
+    /// The first FAST STOP that did not reach the device: its number, and what its client saw.
+    pub first_loss: Option<String>,
     /// Times of those that reached the device, sorted.
     times: Vec<Duration>,
+}
+
+/// One FAST STOP.
+struct Outcome {
+    /// Time until the device saw 23h, including the connect if the connection is fresh.
+    reached: Option<Duration>,
+    is_answered: bool,
+    /// Failure to connect or to send.
+    error: Option<std::io::Error>,
 }
 
 impl Stops {
@@ -111,8 +122,12 @@ impl<'a> Probe<'a> {
             self.poll_modbus();
             stops.asked += 1;
             let begun = Instant::now();
-            let (reached, is_answered) = self.stop(way);
+            let Outcome { reached, is_answered, error } = self.stop(way);
             stops.answered += usize::from(is_answered);
+            if reached.is_none() {
+                let seen = error.map_or_else(|| format!("answered: {is_answered}"), |error| error.to_string());
+                stops.first_loss.get_or_insert(format!("number {}, {seen}", stops.asked));
+            }
             match reached {
                 Some(time) => {
                     missed = 0;
@@ -130,14 +145,13 @@ impl<'a> Probe<'a> {
         stops
     }
 
-    /// Returns the time until the device saw 23h, including the connect if the connection is fresh, and whether the
-    /// client got an answer.
-    fn stop(&mut self, way: Way) -> (Option<Duration>, bool) {
+    fn stop(&mut self, way: Way) -> Outcome {
         let answers_before = self.socket.answers();
         let begun = Instant::now();
         let asked = self.ask(way);
         let reached = self.device.first_since(FAST_STOP, begun, REACHES_WITHIN);
         let begun = begun + if way == Way::HesitantHttp { HESITATES_FOR } else { Duration::ZERO };
+        let mut error = None;
         let is_answered = match (way, asked) {
             // A client that waits for its answer frees its slot only then.
             (Way::FreshHttp | Way::HesitantHttp, Ok(Some(mut connection))) => {
@@ -153,9 +167,13 @@ impl<'a> Probe<'a> {
             }),
             (Way::OpenWebSocket, Ok(_)) => self.socket.has_more_answers(answers_before, http::PATIENCE),
             (Way::Zenoh, Ok(_)) => reached.is_some(),
-            (_, Ok(None) | Err(_)) => false,
+            (_, Ok(None)) => false,
+            (_, Err(failure)) => {
+                error = Some(failure);
+                false
+            }
         };
-        (reached.map(|at| at.saturating_duration_since(begun)), is_answered)
+        Outcome { reached: reached.map(|at| at.saturating_duration_since(begun)), is_answered, error }
     }
 
     /// Reads a register over Modbus now and then, since a connection without requests is closed after a minute.
@@ -254,7 +272,7 @@ fn modbus_fast_stop(is_set: bool) -> [u8; 12] {
     [0, 7, 0, 0, 0, 6, 1, 6, 0, 110, 0, is_set.into()]
 }
 
-/// Reads a response that is no exception; `None` if the connection ends first.
+/// Reads a response that is not an exception; `None` if the connection ends first.
 fn read_adu(stream: &mut TcpStream) -> Option<()> {
     let mut header = [0; 8];
     stream.read_exact(&mut header).ok()?;
