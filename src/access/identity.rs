@@ -78,7 +78,9 @@ impl Identity {
     /// Returns the identity of every client of a gateway that needs no credentials.
     #[must_use]
     pub const fn anyone() -> Self {
-        let (role, scope, proof) = (Role::Supervisor, Scope::All, Proof::None);
+        let role = Role::Supervisor;
+        let scope = Scope::All;
+        let proof = Proof::None;
         Self { name: None, role, scope, expires_at: None, proof, session: None }
     }
 

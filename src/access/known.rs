@@ -76,7 +76,8 @@ impl KnownClient {
             ClientMatch::Address(_) => Proof::Address,
             ClientMatch::Certificate(_) => Proof::Certificate,
         };
-        let (name, scope) = (Some(self.name.clone()), self.scope.clone());
+        let name = Some(self.name.clone());
+        let scope = self.scope.clone();
         Identity { name, role: self.role, scope, expires_at: None, proof, session: None }
     }
 }

@@ -231,8 +231,10 @@ impl TokenFile {
 
 impl FileVersion {
     fn of(metadata: &fs::Metadata) -> Self {
-        let (inode, size) = (metadata.ino().cast_signed(), metadata.size().cast_signed());
-        let (changed, set) = ((metadata.mtime(), metadata.mtime_nsec()), (metadata.ctime(), metadata.ctime_nsec()));
+        let inode = metadata.ino().cast_signed();
+        let size = metadata.size().cast_signed();
+        let changed = (metadata.mtime(), metadata.mtime_nsec());
+        let set = (metadata.ctime(), metadata.ctime_nsec());
         Self([inode, size, changed.0, changed.1, set.0, set.1])
     }
 }

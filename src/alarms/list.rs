@@ -159,7 +159,8 @@ impl AlarmList {
         by: &Client,
         at: Timestamp,
     ) -> (Vec<Alarm>, Vec<AlarmChange>) {
-        let (mut listed, mut changes) = (Vec::new(), Vec::new());
+        let mut listed = Vec::new();
+        let mut changes = Vec::new();
         for Entry { alarm, .. } in self.0.values_mut().filter(|entry| ids.contains(&entry.alarm.id)) {
             if alarm.acknowledged_at.is_none() {
                 acknowledge(alarm, Some(by.subject.clone()), by.label.clone(), at);

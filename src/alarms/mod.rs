@@ -263,7 +263,8 @@ fn of_grippers(
 ) -> BTreeMap<Name, Instant> {
     let mut still_connecting = BTreeMap::new();
     for gripper in grippers.all() {
-        let (name, state) = (gripper.name(), gripper.state());
+        let name = gripper.name();
+        let state = gripper.state();
         let since = connecting.get(name).copied().unwrap_or(now.instant);
         let is_starting = now.instant.saturating_duration_since(since) < REACHED_WITHIN;
         of_gripper(&state, now.instant, is_starting, conditions);

@@ -12,7 +12,8 @@ const SHELLS: [Shell; 3] = [Shell::Bash, Shell::Fish, Shell::Zsh];
 
 /// Writes `man/*.1` and `completions/*` below a directory.
 pub(super) fn write(directory: &Path, mut command: Command) -> anyhow::Result<()> {
-    let (man, completions) = (directory.join("man"), directory.join("completions"));
+    let man = directory.join("man");
+    let completions = directory.join("completions");
     for created in [&man, &completions] {
         fs::create_dir_all(created).with_context(|| format!("{} cannot be created", created.display()))?;
     }

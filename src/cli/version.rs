@@ -10,7 +10,10 @@ const COMMIT: &str = env!("WSG_GATEWAY_COMMIT");
 /// Returns the text of `--version`, which follows the program's name.
 pub(super) fn long() -> String {
     let version = env!("CARGO_PKG_VERSION");
-    let (http, websocket, zenoh, journal) = (http::API, websocket::SUBPROTOCOL, keys::ROOT, journal::VERSION);
+    let http = http::API;
+    let websocket = websocket::SUBPROTOCOL;
+    let zenoh = keys::ROOT;
+    let journal = journal::VERSION;
     format!(
         "{version}\ncommit: {COMMIT}\ndevice protocol: WSG, firmware 2 and 4\nHTTP API: {http}\n\
          WebSocket: {websocket}\nZenoh: {zenoh}\njournal format: {journal}"

@@ -155,7 +155,9 @@ pub(super) fn unknown_grippers(file: &File, grippers: &[GripperConfig]) -> Vec<C
     let mut warnings = Vec::new();
     for client in &file.content.clients {
         for name in client.grippers.iter().flatten().filter(|name| !names.contains(&name.get_ref().as_str())) {
-            let (client, gripper, names) = (client.name.get_ref(), name.get_ref(), names.join(", "));
+            let client = client.name.get_ref();
+            let gripper = name.get_ref();
+            let names = names.join(", ");
             let detail = format!("client {client} names the unknown gripper {gripper}: this gateway has {names}");
             warnings.push(ConfigError::at(&file.place(name.span().start), detail));
         }

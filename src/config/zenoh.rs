@@ -193,7 +193,8 @@ impl Zenoh {
 
     /// Returns the setting by which Zenoh finds others whose addresses are not configured, if one is on.
     fn looks_for(&self) -> Option<&'static str> {
-        let (multicast, gossip) = ("scouting/multicast/enabled", "scouting/gossip/autoconnect");
+        let multicast = "scouting/multicast/enabled";
+        let gossip = "scouting/gossip/autoconnect";
         if self.setting(multicast) == true {
             return Some(multicast);
         }

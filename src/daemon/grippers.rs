@@ -57,7 +57,9 @@ impl RunningGrippers {
         registry: &Registry,
     ) -> anyhow::Result<Self> {
         let grippers = Grippers::new([]);
-        let (devices, journal, registry) = (devices.clone(), journal.clone(), registry.clone());
+        let devices = devices.clone();
+        let journal = journal.clone();
+        let registry = registry.clone();
         let in_use = DevicesInUse::default();
         let mut this = Self { grippers, devices, journal, registry, running: BTreeMap::new(), in_use };
         let mut handles = Vec::new();
@@ -174,7 +176,8 @@ fn check_device(gripper: &GripperConfig, before: &Config, removed: &[Name]) -> R
     for other in before.grippers.iter().filter(stays) {
         let DeviceSource::At(used) = &other.device else { continue };
         if address.conflict_with(used).is_some() {
-            let (name, other) = (&gripper.name, &other.name);
+            let name = &gripper.name;
+            let other = &other.name;
             let detail = format!(
                 "{name} cannot use {address} yet, because {other} uses that device until this reload: restart the \
                  gateway, or first remove {other} and reload"
@@ -187,7 +190,8 @@ fn check_device(gripper: &GripperConfig, before: &Config, removed: &[Name]) -> R
 
 /// Whether a gripper keeps its configuration, wherever that stands in the file. WSG ports are compared separately.
 fn is_same(before: &GripperConfig, after: &GripperConfig) -> bool {
-    let (wsg_port, place) = (after.wsg_port.clone(), after.place.clone());
+    let wsg_port = after.wsg_port.clone();
+    let place = after.place.clone();
     GripperConfig { wsg_port, place, ..before.clone() } == *after
 }
 

@@ -235,7 +235,8 @@ async fn start(
     warn_of_exposure(&access);
     let (journal, recovered) = open_journal(&config)?;
     record_start(&config, &journal).await;
-    let (draining, shutdown) = (CancellationToken::new(), CancellationToken::new());
+    let draining = CancellationToken::new();
+    let shutdown = CancellationToken::new();
     let registry = metrics::registry(&config, &journal)?;
     let port_metrics = interfaces::metrics::WsgPortMetrics::register(&registry)?;
     let running = RunningGrippers::start(&config, runtimes.devices.handle(), &journal, &recovered, &registry)?;
@@ -431,7 +432,9 @@ fn zenoh_settings(
     }
     let network = &context.gateway.peers;
     metrics::register_zenoh(&context.registry, network)?;
-    let (config, listen, connect) = (zenoh.settings.clone(), zenoh.listen.clone(), zenoh.connect.clone());
+    let config = zenoh.settings.clone();
+    let listen = zenoh.listen.clone();
+    let connect = zenoh.connect.clone();
     let connectivity = zenoh::Connectivity { config, listen, connect };
     // In client mode, opening Zenoh waits for a connection.
     network.set_cause(Some(connectivity.awaited().unwrap_or_else(|| "Zenoh is not open yet".to_owned())));

@@ -120,7 +120,8 @@ impl Ports {
         metrics.serves(configured.gripper.as_str());
         let parts = (audit.clone(), access.clone(), metrics.clone());
         let port = Port::new(handle, configured.rules.clone(), descriptors, parts);
-        let (draining, closing) = (draining.child_token(), closing.child_token());
+        let draining = draining.child_token();
+        let closing = closing.child_token();
         let task = devices.spawn(wsg_port::serve(port, listener, draining.clone(), closing.clone()));
         self.served.push(ServedPort { configured, descriptors, draining, closing, task });
     }

@@ -24,7 +24,9 @@ pub(super) fn of(devices: &[SocketAddr]) -> Option<DeviceClient> {
 /// Parses a line as the remote address and the inode of an established connection.
 fn connection(line: &str) -> Option<(SocketAddr, String)> {
     let fields: Vec<_> = line.split_whitespace().collect();
-    let (remote, state, inode) = (fields.get(2)?, fields.get(3)?, fields.get(9)?);
+    let remote = fields.get(2)?;
+    let state = fields.get(3)?;
+    let inode = fields.get(9)?;
     let (ip, port) = remote.split_once(':')?;
     let address = SocketAddr::new(address(ip)?.to_canonical(), u16::from_str_radix(port, 16).ok()?);
     (*state == ESTABLISHED).then(|| (address, (*inode).to_owned()))

@@ -106,7 +106,8 @@ fn judge_expiry(check: &'static str, credential: &ExpiringCredential, now: Times
 fn named(file: &Path) -> Vec<PathBuf> {
     let table = fs::read_to_string(file).ok().and_then(|text| text.parse::<toml::Table>().ok());
     let Some(table) = table.map(toml::Value::Table) else { return vec![] };
-    let (mut files, mut has_secret) = (Vec::new(), false);
+    let mut files = Vec::new();
+    let mut has_secret = false;
     values(&table, &mut |key, value| {
         has_secret |= SECRETS.contains(&key);
         if SECRET_FILES.contains(&key) {
@@ -147,7 +148,8 @@ pub(super) fn journal(installation: &Installation) -> Vec<Diagnosis> {
             "in memory: records are lost when the gateway ends; name a file with --journal",
         )];
     };
-    let (shown, directory) = (path.display(), directory(path));
+    let shown = path.display();
+    let directory = directory(path);
     if path.exists() {
         if let Err(error) = access(path, Access::READ_OK | Access::WRITE_OK) {
             let remedy = "give the gateway's user read and write access to the file";
@@ -196,7 +198,8 @@ pub(super) fn disk(installation: &Installation) -> Vec<Diagnosis> {
 
 /// Judges the free space in bytes, next to a journal of `used` bytes that can grow to `limit`.
 fn space(directory: &Path, free: u64, used: u64, limit: Option<u64>) -> Diagnosis {
-    let (directory, free_mb) = (directory.display(), free / MB);
+    let directory = directory.display();
+    let free_mb = free / MB;
     if free < LEAST_FREE {
         let remedy = "free some space, because motions are refused while the journal cannot be written";
         return Diagnosis::problem("disk", format_args!("{free_mb} MB are free in {directory}: {remedy}"));

@@ -59,7 +59,8 @@ impl KnownFleet {
     fn take(&mut self, grippers: Vec<FleetGripper>) {
         let mut before = std::mem::take(&mut self.grippers);
         for gripper in grippers {
-            let (name, lasting) = (gripper.name(), gripper.lasting());
+            let name = gripper.name();
+            let lasting = gripper.lasting();
             let newest = before.remove(&name).filter(|newest| newest.lasting == lasting).or_else(|| {
                 let update = Notification::new("fleet", &gripper)?;
                 self.seq += 1;

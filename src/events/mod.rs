@@ -111,7 +111,8 @@ impl LiveUpdates {
     /// Collects the updates of this gateway's grippers, of the journal, of the fleet's grippers, and of the alarms.
     #[must_use]
     pub fn new(grippers: Grippers, journal: Journal, network: Arc<Peers>, alarms: Arc<Alarms>) -> Self {
-        let (events, fleet) = (Recent::new(RECENT_EVENTS), FleetNews::new(network));
+        let events = Recent::new(RECENT_EVENTS);
+        let fleet = FleetNews::new(network);
         Self { journal, events, grippers, sources: Mutex::default(), fleet, alarms, alarm_lists: Recent::new(1) }
     }
 
@@ -269,7 +270,8 @@ impl Subscription {
     /// states and telemetry dropped in between: at most one per topic and missed tick. An unchanged state and its
     /// telemetry are repeated every `HEARTBEAT`.
     pub fn newest(&mut self, missed_ticks: u64) -> (Vec<Notification>, u64) {
-        let (mut updates, mut dropped) = (Vec::new(), 0);
+        let mut updates = Vec::new();
+        let mut dropped = 0;
         let now = Now::read().instant;
         for Watched { source, states, seq, sent_at } in &mut self.watched {
             let is_changed = states.has_changed().unwrap_or_default();

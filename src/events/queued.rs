@@ -73,7 +73,8 @@ pub(super) fn events(
     let receiver = updates.journal.subscribe();
     let position = EventPosition(Arc::new(updates.journal.last_seq().into()));
     let stream = unfold((receiver, position.clone()), move |(mut receiver, position)| {
-        let (updates, only) = (updates.clone(), only.clone());
+        let updates = updates.clone();
+        let only = only.clone();
         async move {
             loop {
                 let last = position.get();

@@ -230,7 +230,8 @@ impl Peers {
             get.express(urgency == Urgency::FastStop).priority(priority(urgency)).callback(take).wait()
         });
         sent.await.ok().and_then(Result::ok).ok_or(NoAnswer::None)?;
-        let (mut proofs, mut refused) = (FuturesUnordered::new(), None);
+        let mut proofs = FuturesUnordered::new();
+        let mut refused = None;
         loop {
             let reply = tokio::select! {
                 Some(reply) = proofs.next() => reply,

@@ -96,10 +96,14 @@ impl Peers {
     /// Returns the peers of a gateway that has not joined a network yet.
     #[must_use]
     pub fn new(gateway: Name, own: Grippers, dashboard: Option<Url>) -> Self {
-        let (session, others, news) = (OnceLock::new(), Mutex::default(), Notify::new());
+        let session = OnceLock::new();
+        let others = Mutex::default();
+        let news = Notify::new();
         let [asks, stops, leases] = [MAX_ASKS; 3].map(|places| Arc::new(Semaphore::new(places)));
-        let (cause, twins) = (watch::Sender::new(None), Arc::default());
-        let (asked_at, repeating) = (Mutex::default(), Mutex::default());
+        let cause = watch::Sender::new(None);
+        let twins = Arc::default();
+        let asked_at = Mutex::default();
+        let repeating = Mutex::default();
         let collections = Arc::new(Semaphore::new(MAX_COLLECTIONS));
         let reply_room = ReplyRoom::default();
         Self {
@@ -134,9 +138,11 @@ impl Peers {
         let lives = move |token: Sample| network.take_token(token.key_expr().as_str(), token.kind() == SampleKind::Put);
         let gateways = session.liveliness().declare_subscriber(format!("{ROOT}/*/alive")).history(true);
         gateways.callback(lives).background().await?;
-        let (network, own) = (self.clone(), session.zid().to_string());
+        let network = self.clone();
+        let own = session.zid().to_string();
         let is_one = move |token: Sample| {
-            let (key, is_alive) = (token.key_expr().as_str(), token.kind() == SampleKind::Put);
+            let key = token.key_expr().as_str();
+            let is_alive = token.kind() == SampleKind::Put;
             if last_part(key) != own {
                 network.take_instance(key, is_alive);
             }
@@ -269,7 +275,8 @@ impl Peers {
     /// been out of reach, others can still appear after the network is connected.
     async fn repeat_fast_stop(self: Arc<Self>, begun: Instant, payload: String, was_complete: bool) {
         // A gripper of `arrived` can have been acknowledged since.
-        let (mut arrived, mut open) = (BTreeSet::new(), BTreeSet::new());
+        let mut arrived = BTreeSet::new();
+        let mut open = BTreeSet::new();
         let repeated = async {
             let mut ticks = tokio::time::interval(REPEATED_EVERY);
             loop {

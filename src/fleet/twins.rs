@@ -52,7 +52,9 @@ impl Twins {
     /// Answers at this gateway's own instance key.
     pub(super) async fn answer(session: &Session, keys: &ZenohKeys) -> zenoh::Result<()> {
         let key = keys.own(&format!("instance/{}", session.zid()));
-        let (answered, runtime, places) = (key.clone(), Handle::current(), Arc::new(Semaphore::new(MAX_TWINS)));
+        let answered = key.clone();
+        let runtime = Handle::current();
+        let places = Arc::new(Semaphore::new(MAX_TWINS));
         let answer = move |query: Query| {
             let Ok(place) = places.clone().try_acquire_owned() else { return };
             let key = answered.clone();

@@ -97,7 +97,8 @@ struct LinkIo {
 
 impl LinkIo {
     fn new(pipe: Pipe) -> Self {
-        let (outgoing, incoming) = (Outgoing::default(), vec![0; READ_BYTES]);
+        let outgoing = Outgoing::default();
+        let incoming = vec![0; READ_BYTES];
         Self { pipe, outgoing, incoming, failed: None, reads_in_a_row: 0 }
     }
 }

@@ -68,7 +68,8 @@ pub fn gripper(name: &str, script: FakeScript) -> (Handle, mpsc::UnboundedReceiv
     let (states, state) = watch::channel(Arc::new(unheard(name.clone())));
     let info = Info::unknown(name.clone(), "sim://wsg50".to_owned(), "sim", false);
     let (seen, looked_at) = mpsc::unbounded_channel();
-    let (commands, request_ids) = (HashMap::new(), HashMap::new());
+    let commands = HashMap::new();
+    let request_ids = HashMap::new();
     let actor = Actor { name: name.clone(), script, seen, states, commands, request_ids, lease: LeaseState::default() };
     tokio::spawn(actor.run(asked, stopped));
     let custom_ids = Arc::new(CustomIds { read: [READ_ID].into(), ..CustomIds::default() });
@@ -122,7 +123,8 @@ impl Actor {
             epoch,
         };
         self.states.send_modify(|state| {
-            let (seq, update) = (state.seq + 1, state.update + 1);
+            let seq = state.seq + 1;
+            let update = state.update + 1;
             *state = Arc::new(State { latch: Some(latch), seq, update, ..State::clone(state) });
         });
         self.see(Seen::FastStop(stop.reason));

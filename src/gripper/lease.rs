@@ -332,7 +332,9 @@ impl LeaseState {
         self.epoch += 1;
         self.reserved = None;
         self.asking.retain(|asking| !asking.holder.is(&holder));
-        let (open, connection, expires_at) = (Arc::new(()), Arc::new(()), now + terms.ttl);
+        let open = Arc::new(());
+        let connection = Arc::new(());
+        let expires_at = now + terms.ttl;
         self.held = Some(HeldLease {
             holder,
             terms,
@@ -351,7 +353,8 @@ impl LeaseState {
     fn ask(&mut self, now: Instant, holder: Holder, terms: Terms) -> Option<usize> {
         self.asking.retain(|asking| now < asking.at + REQUEST_LASTS);
         let known = self.asking.iter().position(|asking| asking.holder.is(&holder));
-        let (place, asking) = (known.unwrap_or(self.asking.len()), Asking { holder, terms, at: now });
+        let place = known.unwrap_or(self.asking.len());
+        let asking = Asking { holder, terms, at: now };
         match self.asking.get_mut(place) {
             Some(earlier) => *earlier = asking,
             None if place < MAX_ASKING => self.asking.push(asking),
@@ -386,7 +389,8 @@ impl LeaseState {
             let detail = format!("{to:?} has not requested the lease (requested by: {asks})");
             return Err(Invalid::Malformed { field: "to", detail }.into());
         };
-        let (holder, terms) = (holder.clone(), *terms);
+        let holder = holder.clone();
+        let terms = *terms;
         self.give(now, holder.clone(), terms, new, Usage::HandedOver);
         Ok(holder)
     }

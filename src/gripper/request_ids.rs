@@ -148,7 +148,8 @@ impl RequestIds {
 
     fn count(&mut self, name: &Arc<str>, change: impl Fn(usize) -> usize) {
         let Some(subject) = self.subjects.get_mut(name) else { return };
-        let (before, after) = (subject.slots, change(subject.slots));
+        let before = subject.slots;
+        let after = change(subject.slots);
         subject.slots = after;
         self.by_slots.remove(&(before, name.clone()));
         if subject.numbers.is_empty() {

@@ -31,7 +31,8 @@ pub fn parse_network(text: &str) -> Result<IpNet, String> {
     check_network(text).map_err(|error| format!("a network has the address {error}"))?;
     // An address with the prefix of a network looks like one address, but would admit the whole network.
     if network.addr() != network.network() {
-        let (address, network) = (network.addr(), network.trunc());
+        let address = network.addr();
+        let network = network.trunc();
         return Err(format!("{text:?} is an address with the prefix of a network: write {address} or {network}"));
     }
     Ok(match network.addr().to_canonical() {

@@ -26,7 +26,8 @@ impl<T: Send + Sync + 'static> OnDemand<T> {
     /// An internal error if the computation panics. The next call computes the value again.
     pub async fn get(&self) -> Result<&T, Problem> {
         if !self.value.initialized() {
-            let (compute, value) = (self.compute.clone(), self.value.clone());
+            let compute = self.compute.clone();
+            let value = self.value.clone();
             // A task of its own, because a client that leaves would end this future, and its next request would start
             // the computation a second time.
             let computing = tokio::spawn(async move {

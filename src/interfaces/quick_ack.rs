@@ -44,7 +44,8 @@ pub struct QuickAckStream {
 impl QuickAckStream {
     /// Wraps a stream that is registered with the caller's runtime.
     pub fn new(stream: TcpStream) -> Self {
-        let (home, gone) = (Handle::current().id(), CancellationToken::new());
+        let home = Handle::current().id();
+        let gone = CancellationToken::new();
         Self { stream: Some(stream), home, is_settled: false, is_reading: false, gone, look_again: None }
     }
 

@@ -65,8 +65,10 @@ impl Check {
             return Ok(None);
         }
         let reader = Reader::connect(source).map_err(|error| OpenError::Unusable(error.to_string()))?;
-        let (interrupt, stop) = (reader.interrupt_handle(), Arc::new(Stop::default()));
-        let (place, until) = (source.place.clone(), stop.clone());
+        let interrupt = reader.interrupt_handle();
+        let stop = Arc::new(Stop::default());
+        let place = source.place.clone();
+        let until = stop.clone();
         let thread = spawn("journal-check", move || {
             // At normal priority: SQLite's connections share locks, and on a busy machine a thread of low priority can
             // keep one for longer than a motion waits for its record.

@@ -32,7 +32,8 @@ impl CommandBody {
         };
         match self.event {
             CommandEvent::Admitted(admitted) => {
-                let (holder, request_id) = (admitted.holder, admitted.request_id);
+                let holder = admitted.holder;
+                let request_id = admitted.request_id;
                 let requested = RequestedValues { holder, request_id, ..RequestedValues::from(&admitted.parameters) };
                 CommandReport { requested, ..running }
             }

@@ -49,7 +49,8 @@ impl EventStream {
         let live = shared.subscribe();
         let until = shared.committed();
         let after = after.unwrap_or(until);
-        let (is_ahead, read) = (after > until, VecDeque::new());
+        let is_ahead = after > until;
+        let read = VecDeque::new();
         Self { live, shared: shared.clone(), pool: pool.clone(), filter, after, until, read, is_ahead }
     }
 
@@ -89,8 +90,10 @@ impl EventStream {
     }
 
     async fn catch_up(&mut self) -> Result<(), ReadError> {
-        let (after, until) = (self.after, self.until);
-        let (filter, cursor) = (self.filter.clone(), Some(Cursor::after(after)));
+        let after = self.after;
+        let until = self.until;
+        let filter = self.filter.clone();
+        let cursor = Some(Cursor::after(after));
         let query = EventQuery {
             filter,
             cursor,

@@ -138,7 +138,8 @@ impl Journal {
         shared.set_restored(opened.unknown_past.as_ref().map(|past| past.cause().to_owned()));
         let check = Check::start(&source, shared.clone())?;
         let (inputs, queue) = sync_channel(QUEUE + ENDS);
-        let (watched, place) = (shared.clone(), source.place.clone());
+        let watched = shared.clone();
+        let place = source.place.clone();
         // The watch ends with the writing thread.
         spawn("journal-watch", move || watched.watch(&place))?;
         let thread = spawn("journal", move || writer.run(&queue))?;

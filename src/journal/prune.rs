@@ -149,7 +149,8 @@ impl Pruning {
         }
         let excess = (used - max / 100 * SHRINK_TO_PERCENT) as f64 / used as f64;
         let last = removal(connection, |chain| {
-            let (anchor, newest) = (anchor(connection, chain)?.seq, newest(connection, chain)?);
+            let anchor = anchor(connection, chain)?.seq;
+            let newest = newest(connection, chain)?;
             Ok(anchor + (((newest - anchor) as f64 * excess) as i64).max(STEP))
         })?;
         Ok(last.map(|last| Removal { last, kept: kept::KeptLimit::Size(max) }))

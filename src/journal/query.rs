@@ -34,7 +34,9 @@ pub struct Query<K> {
 
 impl<K> Default for Query<K> {
     fn default() -> Self {
-        let (filter, limit, order) = (Filter::default(), Limit::default(), Order::default());
+        let filter = Filter::default();
+        let limit = Limit::default();
+        let order = Order::default();
         Self { filter, from: None, to: None, limit, cursor: None, order }
     }
 }
@@ -312,8 +314,10 @@ fn read_run<K: ChainKind>(
     found: &mut Vec<(i64, Arc<str>)>,
 ) -> rusqlite::Result<()> {
     let tests = plan.conditions.iter().map(|(column, operator, _)| format!("{column} {operator} ? AND "));
-    let (chain, order) = (K::CHAIN, if query.order == Order::Newest { "DESC" } else { "ASC" });
-    let (table, served_columns) = (chain.name(), chain.served());
+    let chain = K::CHAIN;
+    let order = if query.order == Order::Newest { "DESC" } else { "ASC" };
+    let table = chain.name();
+    let served_columns = chain.served();
     let of_kind = |kind| format!("SELECT seq FROM {table} INDEXED BY {table}_kind WHERE kind = '{kind}'");
     let without = plan.without.iter().map(|kind| format!("seq NOT IN ({}) AND ", of_kind(kind)));
     let mut conditions: String = tests.chain(without).collect();

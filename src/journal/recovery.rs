@@ -51,7 +51,8 @@ pub(super) fn recover(connection: &Connection) -> rusqlite::Result<(Recovered, V
         let event = GatewayEvent::UncleanEnd { running: ids.clone() };
         events.push(Event::new(now(), None, Detail::Gateway(event)));
     }
-    let (memory, mut requests) = (memory(connection)?, requests(connection)?);
+    let memory = memory(connection)?;
+    let mut requests = requests(connection)?;
     for request in requests.iter_mut().filter(|request| ids.contains(&request.command.id)) {
         request.command = unknown_command(request.command.clone());
     }
@@ -60,7 +61,8 @@ pub(super) fn recover(connection: &Connection) -> rusqlite::Result<(Recovered, V
 
 /// Reads the data of this run and of earlier ones, for grippers that are added while the gateway runs.
 pub(super) fn recall(connection: &Connection) -> rusqlite::Result<Recovered> {
-    let (memory, requests) = (memory(connection)?, requests(connection)?);
+    let memory = memory(connection)?;
+    let requests = requests(connection)?;
     Ok(Recovered { memory, requests, ..Recovered::default() })
 }
 
@@ -90,8 +92,10 @@ fn unknown(admitted: CommandBody) -> Event {
         CommandEvent::Admitted(admitted) => admitted.parameters.part_id.clone(),
         CommandEvent::Done(done) => done.part_id.clone(),
     };
-    let (subject, door) = (Some(admitted.subject.clone()), admitted.door);
-    let (gripper, id) = (Some(admitted.gripper.clone()), admitted.command_id);
+    let subject = Some(admitted.subject.clone());
+    let door = admitted.door;
+    let gripper = Some(admitted.gripper.clone());
+    let id = admitted.command_id;
     let command = unknown_command(admitted.command());
     let done = CommandEvent::Done(Box::new(Done::of(&command, part_id)));
     Event { subject, door, ..Event::new(now(), gripper, Detail::Command(done)) }.of(id)
@@ -112,7 +116,9 @@ fn memory(connection: &Connection) -> rusqlite::Result<Vec<PersistedState>> {
     let mut rows = statement.query([NO_GRIPPER])?;
     let mut persisted = Vec::new();
     while let Some(row) = rows.next()? {
-        let (gripper, key, value): (String, String, String) = (row.get(0)?, row.get(1)?, row.get(2)?);
+        let gripper: String = row.get(0)?;
+        let key: String = row.get(1)?;
+        let value: String = row.get(2)?;
         let intact = row.get_ref(3)?.as_blob().is_ok_and(|hash| hash == memory_hash(&gripper, &key, &value));
         match (gripper.parse(), serde_json::from_value(key.clone().into())) {
             (Ok(gripper), Ok(key)) if intact => persisted.push(PersistedState { gripper, key, value: Some(value) }),
@@ -140,7 +146,9 @@ fn requests(connection: &Connection) -> rusqlite::Result<Vec<PastRequest>> {
 fn first_recent(connection: &Connection) -> rusqlite::Result<i64> {
     let mut statement = connection.prepare("SELECT seq, at FROM events ORDER BY seq DESC")?;
     let mut rows = statement.query([])?;
-    let (mut first, mut earliest, mut age_ms) = (i64::MAX, milliseconds(now()), 0);
+    let mut first = i64::MAX;
+    let mut earliest = milliseconds(now());
+    let mut age_ms = 0;
     // The time at which the clock was set back, with the age there.
     let mut set_back = None;
     while let Some(row) = rows.next()? {
@@ -176,7 +184,8 @@ impl Requests {
         let id = body.command_id;
         match &body.event {
             CommandEvent::Admitted(admitted) => {
-                let (parameters, request_id) = (admitted.parameters.clone(), admitted.request_id.clone());
+                let parameters = admitted.parameters.clone();
+                let request_id = admitted.request_id.clone();
                 if let Some(request_id) = request_id {
                     let request = PastRequest { request_id, parameters, command: body.command() };
                     self.in_order.insert(self.next_number, request);

@@ -28,7 +28,8 @@ pub(super) fn runs(
     if from.is_none() && to.is_none() {
         return Ok(vec![Run { first, last, whole: true }]);
     }
-    let (from, to) = (from.map_or(i64::MIN, milliseconds), to.map_or(i64::MAX, milliseconds));
+    let from = from.map_or(i64::MIN, milliseconds);
+    let to = to.map_or(i64::MAX, milliseconds);
     let mut statement = connection.prepare_cached(
         "SELECT span, oldest >= ?2 AND newest < ?3 FROM spans
          WHERE chain = ?1 AND newest >= ?2 AND oldest < ?3 AND span BETWEEN ?4 AND ?5 ORDER BY span",
@@ -36,7 +37,8 @@ pub(super) fn runs(
     let mut rows = statement.query(params![chain.name(), from, to, first >> SPAN_BITS, last >> SPAN_BITS])?;
     let mut runs: Vec<Run> = Vec::new();
     while let Some(row) = rows.next()? {
-        let (span, whole): (i64, bool) = (row.get(0)?, row.get(1)?);
+        let span: i64 = row.get(0)?;
+        let whole: bool = row.get(1)?;
         let begin = span << SPAN_BITS;
         let end = (begin | ((1 << SPAN_BITS) - 1)).min(last);
         match runs.last_mut() {

@@ -59,10 +59,14 @@ pub(super) struct Shared {
 impl Shared {
     /// Returns the shared state, and the sender that the writing thread owns.
     pub(super) fn new(committed: i64) -> (Self, Senders) {
-        let (events, grips) = (broadcast::Sender::new(BROADCAST), broadcast::Sender::new(GRIPS_BROADCAST));
-        let (health, committed) = (watch::Sender::default(), AtomicI64::new(committed));
-        let (work, work_changed) = (Mutex::new(Work::Idle), Condvar::new());
-        let (waiting, persisted) = (AtomicUsize::new(0), Mutex::default());
+        let events = broadcast::Sender::new(BROADCAST);
+        let grips = broadcast::Sender::new(GRIPS_BROADCAST);
+        let health = watch::Sender::default();
+        let committed = AtomicI64::new(committed);
+        let work = Mutex::new(Work::Idle);
+        let work_changed = Condvar::new();
+        let waiting = AtomicUsize::new(0);
+        let persisted = Mutex::default();
         let rates = Rates::default();
         let weak = (events.downgrade(), grips.downgrade());
         let shared =

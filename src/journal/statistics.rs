@@ -191,7 +191,8 @@ impl Tally {
     }
 
     fn take(&mut self, row: &Row<'_>) -> rusqlite::Result<()> {
-        let (outcome, at) = (row.get_ref(0)?.as_bytes()?, row.get(1)?);
+        let outcome = row.get_ref(0)?.as_bytes()?;
+        let at = row.get(1)?;
         self.extend_times((at, at));
         let Some(index) = Outcome::VARIANTS.iter().position(|known| known.name().as_bytes() == outcome) else {
             return Ok(());

@@ -137,7 +137,8 @@ impl JournalWriter {
         let pruning = Pruning::new(retention, started);
         let clock = ClockCheck::new(&store.connection, started)?;
         let (shared, senders) = Shared::new(ends[Chain::Events as usize].seq);
-        let (shared, mut batch) = (Arc::new(shared), Batch::default());
+        let shared = Arc::new(shared);
+        let mut batch = Batch::default();
         check_newest(&store.source.place, &store.connection, &shared);
         batch.records.extend(last_run.into_iter().map(Placed::event));
         let kept = kept::unattested(&store.connection)?;

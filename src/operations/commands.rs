@@ -73,7 +73,9 @@ pub(super) fn reply_with(command: &CommandReport, ticket: Ticket) -> Result<OrRu
 }
 
 async fn get(call: Call<NoFields>) -> Result<Json<CommandReport>, Problem> {
-    let (gripper, id, wait) = (call.gripper()?, call.command_id()?, call.wait(0)?);
+    let gripper = call.gripper()?;
+    let id = call.command_id()?;
+    let wait = call.wait(0)?;
     let NoFields {} = call.fields()?;
     find(&call.gateway, &gripper, id, &wait).await.map(Json)
 }
@@ -101,7 +103,8 @@ pub struct LatestFields {
 }
 
 async fn latest(call: Call<LatestFields>) -> Result<Json<CommandReport>, Problem> {
-    let (gripper, wait) = (call.gripper()?, call.wait(0)?);
+    let gripper = call.gripper()?;
+    let wait = call.wait(0)?;
     let LatestFields { request_id } = call.fields()?;
     let keys = call.keys()?.or_fields(request_id.as_ref().map(ToString::to_string).as_deref(), None)?;
     let Some(request_id) = keys.request_id else {
@@ -119,7 +122,9 @@ async fn latest(call: Call<LatestFields>) -> Result<Json<CommandReport>, Problem
 }
 
 async fn cancel(call: Call<Leased>) -> Result<OrRunning<CommandReport>, Problem> {
-    let (gripper, id, wait) = (call.gripper()?, call.command_id()?, call.wait(DEFAULT_WAIT_MS)?);
+    let gripper = call.gripper()?;
+    let id = call.command_id()?;
+    let wait = call.wait(DEFAULT_WAIT_MS)?;
     let Leased { lease } = call.fields()?;
     let gripper = gripper.with_lease(lease.as_deref())?;
     let ticket = gripper.handle.cancel(id, gripper.client).await?;

@@ -23,7 +23,8 @@ impl ConnectionLease {
 
     /// Returns a copy that does not keep the lease from expiring.
     pub fn without_keep(&self) -> Self {
-        let (handle, token) = (self.handle.clone(), self.token.clone());
+        let handle = self.handle.clone();
+        let token = self.token.clone();
         Self { handle, token, epoch: self.epoch, takes: self.takes, _keep: None }
     }
 

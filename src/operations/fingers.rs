@@ -68,7 +68,8 @@ pub struct FingerAnswer {
 }
 
 async fn info(call: Call<NoFields>) -> Result<Json<FingerAnswer>, Problem> {
-    let (gripper, finger) = (call.gripper()?, call.finger()?);
+    let gripper = call.gripper()?;
+    let finger = call.finger()?;
     let NoFields {} = call.fields()?;
     let take = |data| if let Data::FingerInfo(_, info) = data { Some(info) } else { None };
     let info = ask(&gripper, wsg::Command::GetFingerInfo(finger), take).await?;
@@ -108,7 +109,8 @@ pub struct FingerDataAnswer {
 }
 
 async fn data(call: Call<NoFields>) -> Result<Json<FingerDataAnswer>, Problem> {
-    let (gripper, finger) = (call.gripper()?, call.finger()?);
+    let gripper = call.gripper()?;
+    let finger = call.finger()?;
     let NoFields {} = call.fields()?;
     let take = |data| if let Data::FingerData(_, bytes) = data { Some(bytes) } else { None };
     let data = ask(&gripper, wsg::Command::GetFingerData(finger), take).await?;
@@ -140,7 +142,8 @@ pub struct PowerAnswer {
 }
 
 async fn power(call: Call<Power>) -> Result<Json<PowerAnswer>, Problem> {
-    let (gripper, finger) = (call.gripper()?, call.finger()?);
+    let gripper = call.gripper()?;
+    let finger = call.finger()?;
     let Power { enabled, lease } = call.fields()?;
     let gripper = gripper.with_lease(lease.as_deref())?;
     gripper.exchange(wsg::Command::FingerPower { finger, on: enabled }).await?;

@@ -21,7 +21,8 @@ pub(crate) fn body(data: &[u8]) {
 
 fn agrees<P: DeserializeOwned + Debug>(text: &[u8]) {
     let Ok(StrictJson(Value::Object(object))) = serde_json::from_slice(text) else { return };
-    let (of_text, of_object) = (json::parse::<P>(text), json::of_object::<P>(&object));
+    let of_text = json::parse::<P>(text);
+    let of_object = json::of_object::<P>(&object);
     // With several wrong fields, the parsers may name different ones, so only the codes are compared.
     let of_text = of_text.map(|fields| format!("{fields:?}")).map_err(|problem| problem.code());
     let of_object = of_object.map(|fields| format!("{fields:?}")).map_err(|problem| problem.code());

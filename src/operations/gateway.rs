@@ -69,7 +69,8 @@ impl Gateway {
     pub(crate) fn of(grippers: impl IntoIterator<Item = crate::gripper::Handle>) -> Arc<Self> {
         let (journal, _) =
             Journal::open(crate::journal::JournalLocation::Memory, crate::journal::Retention::default()).unwrap();
-        let (name, grippers): (Name, _) = ("wsg".parse().unwrap(), Grippers::new(grippers));
+        let name: Name = "wsg".parse().unwrap();
+        let grippers = Grippers::new(grippers);
         let audit = Arc::new(Audit::new(journal.clone()));
         let peers = Arc::new(Peers::new(name.clone(), grippers.clone(), None));
         let alarms = Arc::new(Alarms::new(name.clone(), journal.clone(), &[]));

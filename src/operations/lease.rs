@@ -124,7 +124,8 @@ async fn take(call: Call<Take>) -> Result<OrWaiting<Lease>, Problem> {
         token: gripper.token(),
         client: gripper.client,
     };
-    let (handle, has_ttl) = (gripper.handle, take.ttl.is_some());
+    let handle = gripper.handle;
+    let has_ttl = take.ttl.is_some();
     let taken = match handle.take_lease(take).await {
         Err(Rejection::Conflict(Conflict::LeaseRequested { place, .. })) => {
             let lease = Lease { place: Some(place), ..handle.lease().await? };

@@ -272,7 +272,8 @@ async fn submit<P: ActionFields + KeyFields + DeserializeOwned>(
     if P::FALLBACK.is_some() {
         call.caller = call.caller.without_mistakes();
     }
-    let (gripper, wait) = (call.gripper()?, call.wait(DEFAULT_WAIT_MS)?);
+    let gripper = call.gripper()?;
+    let wait = call.wait(DEFAULT_WAIT_MS)?;
     let parsed = parse(&call);
     let fallback = |problem| Ok::<_, Problem>((RequestKeys::default(), P::FALLBACK.ok_or(problem)?));
     let (keys, action) = parsed.or_else(fallback)?;

@@ -115,7 +115,9 @@ enum RawPath {
 }
 
 async fn raw(call: Call<Raw>) -> Result<OrRunning<RawAnswer>, Problem> {
-    let (gripper, wait, keys) = (call.gripper()?, call.wait(DEFAULT_WAIT_MS)?, call.keys()?);
+    let gripper = call.gripper()?;
+    let wait = call.wait(DEFAULT_WAIT_MS)?;
+    let keys = call.keys()?;
     let body = call.fields()?;
     // At most 255, so the cast loses nothing.
     let id = integer("id", body.id, 0..=u64::from(u8::MAX))? as u8;

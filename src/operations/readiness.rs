@@ -62,7 +62,8 @@ impl Readiness {
             && journal_damage.is_none()
             && zenoh_cause.is_none()
             && not_ready.is_empty();
-        let (gateway, version) = (own.name.to_string(), env!("CARGO_PKG_VERSION"));
+        let gateway = own.name.to_string();
+        let version = env!("CARGO_PKG_VERSION");
         let warnings = own.access.is_exposed().then(|| EXPOSED.to_owned()).into_iter().collect();
         Self {
             gateway,

@@ -185,7 +185,8 @@ fn versions(call: &Call<NoFields>) -> Result<Json<RecipeVersions>, Problem> {
 }
 
 async fn set(call: Call<SetRecipe>) -> Result<Versioned<RecipeVersion>, Problem> {
-    let (part_id, given): (_, SetRecipe) = (call.part_id()?, call.fields()?);
+    let part_id = call.part_id()?;
+    let given: SetRecipe = call.fields()?;
     if given.part_id.as_ref().is_some_and(|other| other.to_string() != part_id.as_str()) {
         return Err(Problem::malformed("part_id", "part_id differs from the part in the path"));
     }
@@ -205,7 +206,8 @@ async fn set_several(call: Call<SetRecipes>) -> Result<Json<RecipeList>, Problem
     if !(1..=MAX_RECIPES).contains(&given.len()) {
         return Err(Problem::malformed("recipes", format!("recipes must have 1 to {MAX_RECIPES} recipes")));
     }
-    let (mut recipes, mut parts) = (Vec::new(), BTreeSet::new());
+    let mut recipes = Vec::new();
+    let mut parts = BTreeSet::new();
     for (index, given) in given.into_iter().enumerate() {
         let place = format!("recipes[{index}].");
         let field = format!("{place}part_id");
@@ -221,7 +223,8 @@ async fn set_several(call: Call<SetRecipes>) -> Result<Json<RecipeList>, Problem
 }
 
 async fn remove(call: Call<RemoveRecipe>) -> Result<Versioned<RecipeVersion>, Problem> {
-    let (part_id, RemoveRecipe { if_version }) = (call.part_id()?, call.fields()?);
+    let part_id = call.part_id()?;
+    let RemoveRecipe { if_version } = call.fields()?;
     let expected = expected(&call, if_version)?;
     check_change(&call)?;
     let removed = call.gateway.recipes.remove(&part_id, expected, &call.caller.client)?.ok_or_else(no_recipe)?;

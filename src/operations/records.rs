@@ -147,7 +147,9 @@ impl RecordList {
 
     /// Returns the JSON of a page.
     pub fn body(self, gateway: &Gateway, page: &Page) -> Result<Box<RawValue>, Problem> {
-        let (records, next_cursor, has_more) = (raw(page)?, next_cursor(page), page.next_cursor.is_some());
+        let records = raw(page)?;
+        let next_cursor = next_cursor(page);
+        let has_more = page.next_cursor.is_some();
         let journal_id = gateway.journal.id();
         let body = match self {
             Self::Events => to_raw_value(&EventPage { events: records, next_cursor, has_more, journal_id }),

@@ -44,7 +44,8 @@ pub async fn run(
     caller: Caller,
     params: Params,
 ) -> Result<OperationReply, Problem> {
-    let (client, gripper) = (caller.client.clone(), params.gripper());
+    let client = caller.client.clone();
+    let gripper = params.gripper();
     let allowed = check(&gateway.access, operation.right, &caller.identity, gripper.as_ref());
     let running = match allowed.map_err(|problem| missing_gripper(gateway, &params, &problem).unwrap_or(problem)) {
         Ok(()) => {

@@ -231,7 +231,8 @@ async fn get_soft_limits(call: Call<NoFields>) -> SettingResult<SoftLimitsAnswer
 async fn set_soft_limits(call: Call<SoftLimitsSetting>) -> SettingResult<SoftLimitsAnswer> {
     let (gripper, body): (_, SoftLimitsSetting) = call.gripper_and_fields()?;
     let gripper = gripper.with_lease(body.lease.as_deref())?;
-    let (minus, plus) = (width("minus_mm", body.minus_mm)?, width("plus_mm", body.plus_mm)?);
+    let minus = width("minus_mm", body.minus_mm)?;
+    let plus = width("plus_mm", body.plus_mm)?;
     let limits = SoftLimits::new(minus, plus)
         .ok_or_else(|| Problem::out_of_range("minus_mm", body.minus_mm, 0.0, body.plus_mm))?;
     exchange_soft_limits(gripper, wsg::Command::SetSoftLimits(limits)).await

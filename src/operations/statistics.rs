@@ -227,7 +227,8 @@ fn report<P>(call: &Call<P>, query: &StatisticsQuery, statistics: &GripStatistic
 }
 
 fn cpk(widths: &Distribution, min: Option<f64>, max: Option<f64>) -> Option<f64> {
-    let (mean, deviation) = (widths.mean()?, widths.standard_deviation().filter(|deviation| *deviation > 0.0)?);
+    let mean = widths.mean()?;
+    let deviation = widths.standard_deviation().filter(|deviation| *deviation > 0.0)?;
     let distances = [min.map(|min| mean - min), max.map(|max| max - mean)];
     distances.into_iter().flatten().reduce(f64::min).map(|distance| distance / (3.0 * deviation))
 }

@@ -75,7 +75,8 @@ struct GripWidth {
 }
 
 async fn teach(call: Call<Teach>) -> Result<Json<ProposedLimits>, Problem> {
-    let (part_id, Teach { last, k, gripper }) = (call.part_id()?, call.fields()?);
+    let part_id = call.part_id()?;
+    let Teach { last, k, gripper } = call.fields()?;
     let gripper = gripper.map(|name| gripper_or_gateway("gripper", &name)).transpose()?;
     let last = integer("last", last.unwrap_or(DEFAULT_LAST), 2..=1000)?;
     let k = k.unwrap_or(DEFAULT_K);

@@ -73,7 +73,8 @@ pub fn integer(field: &str, number: f64, range: RangeInclusive<u64>) -> Result<u
         let value = serde_json::Number::from_f64(number).map(serde_json::Value::Number);
         return Err(Problem::malformed(field, format!("{field} must be a whole number")).value(value));
     }
-    let (min, max) = (*range.start() as f64, *range.end() as f64);
+    let min = *range.start() as f64;
+    let max = *range.end() as f64;
     if (min..=max).contains(&number) {
         // Inside the range, so the cast loses nothing.
         Ok(number as u64)

@@ -133,7 +133,8 @@ fn list(call: &Call<NoFields>) -> Result<Json<WebhookList>, Problem> {
 }
 
 async fn test(call: Call<NoFields>) -> Result<Json<WebhookDelivery>, Problem> {
-    let (webhook, NoFields {}) = (call.webhook()?, call.fields()?);
+    let webhook = call.webhook()?;
+    let NoFields {} = call.fields()?;
     let Tested { result, duration } = webhook.test().await.ok_or_else(|| {
         Problem::new(Code::Overloaded, "a test delivery to this webhook is in progress: wait for its end")
     })?;

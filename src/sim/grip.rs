@@ -37,7 +37,8 @@ impl Grip {
     /// end of the clamping travel.
     pub fn new(drive: Drive, direction: AxisDirection, nominal_mm: f64, tolerance_mm: f64) -> Self {
         let first_mm = nominal_mm - direction.sign() * tolerance_mm;
-        let (from_mm, to_mm) = (first_mm.min(drive.target_mm), first_mm.max(drive.target_mm));
+        let from_mm = first_mm.min(drive.target_mm);
+        let to_mm = first_mm.max(drive.target_mm);
         Self { drive, direction, from_mm, to_mm, pressing: 0 }
     }
 

@@ -30,7 +30,8 @@ impl DeviceSettings {
 
     pub fn set_acceleration(&mut self, acceleration: Acceleration, config: &DeviceConfig) {
         let limits = &config.limits;
-        let (least, most) = (limits.min_acceleration.mm_s2(), limits.max_acceleration.mm_s2());
+        let least = limits.min_acceleration.mm_s2();
+        let most = limits.max_acceleration.mm_s2();
         self.acceleration_mm_s2 = f64::from(acceleration.mm_s2().max(least).min(most));
     }
 

@@ -102,7 +102,8 @@ impl UdpAddress {
 
     /// Chooses the next usable address of the host at each attempt, because UDP reports no failed connection.
     async fn choose(&self, addresses: impl Iterator<Item = SocketAddr>) -> io::Result<SocketAddr> {
-        let (mut usable, mut unusable) = (Vec::new(), Vec::new());
+        let mut usable = Vec::new();
+        let mut unusable = Vec::new();
         for address in addresses {
             match try_out(address).await {
                 Ok(()) => usable.push(address),

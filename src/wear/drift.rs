@@ -85,7 +85,9 @@ impl DriftChart {
 impl fmt::Display for DriftChart {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let what = if self.kind == Kind::Reference { "gauge" } else { "part" };
-        let (part_id, average_mm, distance_mm) = (self.part_id.as_str(), self.average_mm, self.distance_mm());
+        let part_id = self.part_id.as_str();
+        let average_mm = self.average_mm;
+        let distance_mm = self.distance_mm();
         write!(
             f,
             "{what} {part_id}: contact width {average_mm:.3} mm on average, {distance_mm:+.3} mm from the first \

@@ -42,7 +42,8 @@ impl MountRequest {
     /// Returns the mounted set, which continues the counts of `before`.
     pub(super) fn into_finger_set(self, before: Option<FingerSet>, at: Timestamp, by: &Client) -> FingerSet {
         let Self { id, maintenance_cycles, maintenance_travel_m, .. } = self;
-        let (cycles, travel_mm) = (0, 0.0);
+        let cycles = 0;
+        let travel_mm = 0.0;
         let mounted_by = by.subject.clone();
         let new =
             FingerSet { id, mounted_at: at, mounted_by, cycles, travel_mm, maintenance_cycles, maintenance_travel_m };

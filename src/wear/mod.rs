@@ -131,7 +131,8 @@ impl Wear {
         loop {
             let counted = self.known().grippers.values().map(|wear| wear.seq).max();
             let Some(counted) = counted.filter(|seq| *seq > 0) else { return };
-            let (limit, cursor) = (Limit::new(CAUGHT_UP_AT_ONCE).unwrap_or_default(), Some(Cursor::after(counted)));
+            let limit = Limit::new(CAUGHT_UP_AT_ONCE).unwrap_or_default();
+            let cursor = Some(Cursor::after(counted));
             let query = GripQuery { cursor, limit, order: Order::Oldest, ..GripQuery::default() };
             match self.journal.grips(query).await {
                 Ok(page) => {
@@ -152,7 +153,8 @@ impl Wear {
     fn take(&self, body: &str) {
         let Ok(record) = serde_json::from_str::<WearRecord>(body) else { return };
         let mut known = self.known();
-        let (gripper, limits) = (record.gripper.clone(), known.limits);
+        let gripper = record.gripper.clone();
+        let limits = known.limits;
         let wear = known.grippers.entry(gripper.clone()).or_default();
         if record.seq <= wear.seq {
             return;

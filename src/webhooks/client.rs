@@ -100,7 +100,8 @@ impl WebhookClient {
     pub(super) async fn send(&self, request: Request<Full<Bytes>>) -> Result<StatusCode, DeliveryFailure> {
         let late = |_| DeliveryFailure::Late { receiver: self.receiver.clone() };
         let response = timeout(ANSWERED_WITHIN, self.exchange(request)).await.map_err(late)??;
-        let (status, headers) = (response.status(), response.headers());
+        let status = response.status();
+        let headers = response.headers();
         if status.is_success() {
             return Ok(status);
         }

@@ -70,7 +70,8 @@ impl Worker {
                     continue;
                 }
                 Ok(Some(StreamItem::Removed { after, missed })) => {
-                    let (seq, gateway) = (after + missed, &self.webhook.gateway);
+                    let seq = after + missed;
+                    let gateway = &self.webhook.gateway;
                     (seq, json!({"kind": "gap", "gateway": gateway, "seq": after, "missed": missed}).to_string().into())
                 }
                 Ok(None) => break,
@@ -168,7 +169,8 @@ impl Worker {
         let position = self.webhook.lock().position;
         if self.stored != Some(position) {
             self.stored = Some(position);
-            let (gripper, value) = (self.webhook.name().clone(), Some(position.to_string()));
+            let gripper = self.webhook.name().clone();
+            let value = Some(position.to_string());
             let state = PersistedState { gripper, key: PersistedKey::Webhook, value };
             self.webhook.journal.record(Record::Persisted(state));
         }

@@ -464,7 +464,8 @@ impl Updates {
     }
 
     fn read(fields: &mut PayloadReader<'_>) -> Self {
-        let (flags, period_ms) = (fields.u8(), fields.u16());
+        let flags = fields.u8();
+        let period_ms = fields.u16();
         if flags & 1 == 0 { Self::Off } else { Self::On { on_change: flags & 2 != 0, period_ms } }
     }
 }

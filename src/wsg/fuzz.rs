@@ -36,7 +36,8 @@ enum Finding {
 }
 
 fn findings(decoder: &mut Decoder, stream: &[u8], in_pieces_of: usize) -> Vec<Finding> {
-    let (mut findings, mut frame_bytes) = (Vec::new(), 0);
+    let mut findings = Vec::new();
+    let mut frame_bytes = 0;
     let before = decoder.counters();
     for piece in stream.chunks(in_pieces_of.max(1)) {
         decoder.push(piece);

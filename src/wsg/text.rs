@@ -307,7 +307,8 @@ impl Fields {
             id::SET_ACCELERATION => Command::SetAcceleration(self.quantity("acceleration", Acceleration::new)?),
             id::SET_FORCE_LIMIT => Command::SetForceLimit(self.quantity("force", Force::new)?),
             id::SET_SOFT_LIMITS => {
-                let (minus, plus) = (self.quantity("minus", Width::new)?, self.quantity("plus", Width::new)?);
+                let minus = self.quantity("minus", Width::new)?;
+                let plus = self.quantity("plus", Width::new)?;
                 let limits = SoftLimits::new(minus, plus);
                 Command::SetSoftLimits(limits.ok_or_else(|| wrong("minus", &minus.mm().to_string(), "at most plus"))?)
             }

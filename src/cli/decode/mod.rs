@@ -69,7 +69,8 @@ struct Line<'a> {
 impl<'a> Line<'a> {
     fn parse(text: &'a str) -> Result<Self, String> {
         let (time, direction, digits) = if let Some(at) = text.find(['>', '<']) {
-            let (before, behind) = (&text[..at], &text[at + 1..]);
+            let before = &text[..at];
+            let behind = &text[at + 1..];
             if text[at..].starts_with('>') {
                 (before.strip_suffix('-').unwrap_or(before), WireDirection::Request, behind)
             } else {

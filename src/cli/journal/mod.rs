@@ -135,7 +135,8 @@ impl Filters {
             outcome: value("--outcome", outcome.as_ref())?,
             command_id: value("--command-id", self.command_id.as_ref())?,
         };
-        let (from, to) = (value("--from", self.from.as_ref())?, value("--to", self.to.as_ref())?);
+        let from = value("--from", self.from.as_ref())?;
+        let to = value("--to", self.to.as_ref())?;
         Ok(Query { filter, from, to, ..Query::default() })
     }
 }
@@ -196,7 +197,8 @@ fn export(reader: &Reader, format: Format, which: &Which, out: &mut impl Write) 
         out.write_all(header(columns).as_bytes())?;
     }
     // On a terminal, the records show the progress themselves.
-    let (mut progress, mut written) = (ProgressLine::new("exported", !io::stdout().is_terminal()), 0);
+    let mut progress = ProgressLine::new("exported", !io::stdout().is_terminal());
+    let mut written = 0;
     each_page(reader, which, Order::Oldest, limit, |bodies| {
         written += bodies.len();
         progress.show(format_args!("{written} records"));

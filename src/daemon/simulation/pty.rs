@@ -98,7 +98,8 @@ impl Drop for PtySource {
 
 /// Removes a link to a pty: one of ours, or one left by a killed simulator. Anything else stays.
 fn make_room(link: &Path) -> anyhow::Result<()> {
-    let (shown, remedy) = (link.display(), "remove it, or choose another link=");
+    let shown = link.display();
+    let remedy = "remove it, or choose another link=";
     match fs::read_link(link) {
         Ok(target) if target.starts_with(PTYS) => Ok(fs::remove_file(link)?),
         Ok(target) => bail!("{shown} is a link to {}, which is not a pty: {remedy}", target.display()),

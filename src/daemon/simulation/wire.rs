@@ -83,7 +83,8 @@ impl Wire {
             Self::Pty(socket) => Some(Address::Serial(socket.address())),
             Self::Can(CanAddress { interface, tx, rx, bitrate }) => {
                 // A gateway sends with the id that the device receives.
-                let (interface, bitrate) = (interface.clone(), *bitrate);
+                let interface = interface.clone();
+                let bitrate = *bitrate;
                 Some(Address::Can(CanAddress { interface, tx: *rx, rx: *tx, bitrate }))
             }
         })

@@ -91,7 +91,8 @@ impl Recording {
             return;
         };
         let contact = contact.or_else(|| curve.contact()).filter(|_| command.kind.is_grip());
-        let (peak_force_n, travel_mm) = (curve.peak_force_n(), curve.travel_mm());
+        let peak_force_n = curve.peak_force_n();
+        let travel_mm = curve.travel_mm();
         let curve = curve.into_samples();
         let record = GripRecord {
             id: command.id,

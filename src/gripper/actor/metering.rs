@@ -26,7 +26,8 @@ pub(super) struct Metering {
 
 impl Metering {
     pub(super) fn new(metrics: GripperMetrics) -> Self {
-        let (sent, received) = (Counters::default(), DecoderCounters::default());
+        let sent = Counters::default();
+        let received = DecoderCounters::default();
         Self { metrics, sent, received, is_new_link: false, unsent: None, unconfirmed: None }
     }
 
@@ -45,7 +46,8 @@ impl Metering {
         for round_trip in loop_round_trip.into_iter().chain(session.take_round_trip()) {
             metrics.round_trip.observe(round_trip.as_secs_f64());
         }
-        let (sent, received) = (session.counters(), session.decoder_counters());
+        let sent = session.counters();
+        let received = session.decoder_counters();
         let count = |counter: &IntCounter, now: u64, before: u64| {
             if now > before {
                 counter.inc_by(now - before);

@@ -190,7 +190,10 @@ impl Actor {
 
     /// Latches a FAST STOP of a client, or on behalf of a holder that was lost.
     fn latch(&mut self, now: Now, mut request: FastStopRequest) {
-        let (id, client, cause, reason) = (request.id, request.client.clone(), request.cause, request.reason.clone());
+        let id = request.id;
+        let client = request.client.clone();
+        let cause = request.cause;
+        let reason = request.reason.clone();
         self.metering.fast_stop_requested(request.at);
         let caller = request.epoch.take();
         if let Some(token) = self.latch.request(now, request) {

@@ -43,7 +43,8 @@ impl Actor {
             return self.reject_running(now, conflict.into());
         }
         if let Some(waited) = self.motion.is_late(now.instant) {
-            let (command, waited_ms) = (super::name_of(&request), waited.as_millis() as u64);
+            let command = super::name_of(&request);
+            let waited_ms = waited.as_millis() as u64;
             return self.reject_running(now, Failure::Late { command, waited_ms }.into());
         }
         let within = result_within(&running.motion, self.settings.stroke_mm());

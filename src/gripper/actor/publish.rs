@@ -62,7 +62,8 @@ impl Publication {
 /// Returns what the configuration tells about a gripper.
 fn info_of(config: &ActorConfig) -> Info {
     let stops_on_gateway_loss = config.properties.connection_oriented && config.rules.fast_stop_on_disconnect;
-    let (name, url) = (config.name.clone(), config.url.clone());
+    let name = config.name.clone();
+    let url = config.url.clone();
     Info {
         custom_ids: Arc::new(config.rules.custom_ids.clone()),
         update_period_ms: automatic_updates::period_ms(config.rules.updates, config.properties.bytes_per_second),
@@ -101,7 +102,8 @@ impl Actor {
                 info.link_cause.clone_from(&state.link_cause);
             });
         }
-        let (seq, update) = (self.publication.sequence, self.publication.updates);
+        let seq = self.publication.sequence;
+        let update = self.publication.updates;
         self.publication.state.send_replace(Arc::new(State { seq, update, ..state }));
     }
 

@@ -176,7 +176,8 @@ impl Recording {
     pub(super) fn flags(&mut self, now: Now, before: Option<SystemState>, flags: SystemState) {
         let before = before.unwrap_or_default() & SystemState::FAULTS;
         let faults = flags & SystemState::FAULTS;
-        let (come, gone) = (faults - before, before - faults);
+        let come = faults - before;
+        let gone = before - faults;
         if !come.is_empty() {
             self.device(now, DeviceEvent::Fault { flags: come.names().collect() });
         }

@@ -89,7 +89,8 @@ impl Actor {
             return;
         }
         self.scripts.uses.retain(|script| script.token != *token);
-        let (client, token) = (client.clone(), token.clone());
+        let client = client.clone();
+        let token = token.clone();
         let script = ScriptUse { client, token, at: now.instant, unanswered_until: None, end: None, is_suspect: false };
         self.scripts.uses.push(script);
     }

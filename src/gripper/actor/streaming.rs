@@ -117,7 +117,8 @@ impl Streaming {
     /// Counts an admitted command. The first one is recorded at once.
     pub(super) fn count(&mut self, now: Now, submission: &Submission, recording: &mut Recording) {
         let Action::Motion(Motion::Custom(custom)) = &submission.action else { return };
-        let (id, client) = (custom.id(), &submission.client);
+        let id = custom.id();
+        let client = &submission.client;
         (self.at, self.silent_since, self.looks_at, self.stops) = (Some(now.instant), Some(now.instant), None, 0);
         (self.token, self.raw_id) = (submission.lease.clone(), id);
         match self.counted.entry((id, client.clone())) {
@@ -168,7 +169,8 @@ impl Actor {
             self.streaming.looks_at = Some(watched_until.min(now.instant + LOOKS_EVERY));
             return;
         }
-        let (raw_id, stops) = (self.streaming.raw_id, self.streaming.stops);
+        let raw_id = self.streaming.raw_id;
+        let stops = self.streaming.stops;
         if stops == MAX_STOPS {
             tracing::warn!(gripper = %self.config.name, "the gripper did not stop");
             return self.streaming.watch_ended();

@@ -84,7 +84,8 @@ impl WireLog {
             };
             match decoded {
                 Decoded::Frame(frame) => {
-                    let (id, payload) = (frame.id, frame.payload.to_vec());
+                    let id = frame.id;
+                    let payload = frame.payload.to_vec();
                     let length = payload.len() + OVERHEAD_BYTES;
                     let skipped = (received.decoder.position() - start) as usize - length;
                     self.log_skipped(now, &mut received, skipped);
@@ -139,7 +140,8 @@ impl WireLog {
         };
         let length = (size + OVERHEAD_BYTES).min(received.rest.len());
         if received.is_in_step && received.reported < length {
-            let (name, text) = (id::name(id).map(ToOwned::to_owned), describe_damaged(id));
+            let name = id::name(id).map(ToOwned::to_owned);
+            let text = describe_damaged(id);
             self.log_damage(now, &received.rest[..length], WireDamage::Checksum, (Some(id), name, text));
         }
         received.reported = received.reported.max(length);

@@ -143,7 +143,9 @@ impl CommandRegistry {
         is_streamed: bool,
     ) -> Ticket {
         self.forget_old(now);
-        let (key, id, kind) = (key(submission), command.id, command.kind);
+        let key = key(submission);
+        let id = command.id;
+        let kind = command.kind;
         if kind != Kind::Stop && !is_streamed {
             command.number = Some(self.last.admitted(id));
         }
@@ -215,7 +217,8 @@ impl CommandRegistry {
         if command.outcome == Some(Outcome::Refused) {
             return;
         }
-        let (key, asked) = ((command.client.clone(), request_id), (command.kind, parameters));
+        let key = (command.client.clone(), request_id);
+        let asked = (command.kind, parameters);
         let number = self.last.number_of(command.id);
         let ids = self.ids_of(command.kind, false);
         let command = Arc::new(CommandReport { recorded: true, number, ..command });

@@ -115,7 +115,8 @@ impl Bounds {
     #[must_use]
     pub fn of(descriptors: usize) -> Self {
         let descriptors = descriptors.clamp(Self::MIN_DESCRIPTORS, Self::MAX_DESCRIPTORS);
-        let (given, all) = (descriptors - Self::MIN_DESCRIPTORS, Self::MAX_DESCRIPTORS - Self::MIN_DESCRIPTORS);
+        let given = descriptors - Self::MIN_DESCRIPTORS;
+        let all = Self::MAX_DESCRIPTORS - Self::MIN_DESCRIPTORS;
         let share = |least: usize, most: usize| least + (most - least) * given / all;
         let mut classes = [usize::MAX; CLASSES];
         for (class, least, most) in [
@@ -128,7 +129,8 @@ impl Bounds {
         ] {
             classes[class as usize] = share(least, most);
         }
-        let (leaving, displaced) = (share(1, LEAVING), share(1, DISPLACED));
+        let leaving = share(1, LEAVING);
+        let displaced = share(1, DISPLACED);
         // Rounded up: the other shares are rounded down, which leaves a descriptor for it.
         let reserved = (RESERVED * given).div_ceil(all);
         // New and keep-alive connections share the remainder.

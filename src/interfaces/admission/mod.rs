@@ -60,7 +60,8 @@ pub struct Admission {
 impl Admission {
     #[must_use]
     pub fn new(bounds: Bounds) -> Arc<Self> {
-        let (table, tracker) = (Mutex::new(Table::new(bounds)), TaskTracker::new());
+        let table = Mutex::new(Table::new(bounds));
+        let tracker = TaskTracker::new();
         let reserve = Arc::new(Semaphore::new(bounds.reserved + FOR_WHOLE_FAST_STOPS));
         let displaced = Arc::new(Semaphore::new(bounds.displaced));
         Arc::new(Self { table, ended: Notify::new(), released: Notify::new(), tracker, reserve, displaced })

@@ -74,12 +74,15 @@ impl Entry {
 
 impl Table {
     pub(super) fn new(bounds: Bounds) -> Self {
-        let (entries, classes) = (HashMap::new(), std::array::from_fn(|_| Members::default()));
+        let entries = HashMap::new();
+        let classes = std::array::from_fn(|_| Members::default());
         Self { bounds, next: 0, entries, classes, leaving: 0, held_bytes: 0, evicted: 0 }
     }
 
     pub(super) fn admit(&mut self, address: IpAddr, now: Instant, evicted: CancellationToken) -> Id {
-        let (id, peer, base) = (self.next, peer(address), Class::Incoming);
+        let id = self.next;
+        let peer = peer(address);
+        let base = Class::Incoming;
         self.next += 1;
         self.make_room(base, peer);
         let entry = Entry {
@@ -232,7 +235,8 @@ impl Table {
 
     /// Makes room for one more connection of this peer in a class. Returns whether there is room.
     fn make_room(&mut self, class: Class, newcomer: Peer) -> bool {
-        let (members, most) = (&self.classes[class as usize], self.bounds.of_class(class));
+        let members = &self.classes[class as usize];
+        let most = self.bounds.of_class(class);
         let has = |peer: &Peer| members.peers.get(peer).map_or(0, BTreeSet::len);
         if class == Class::Pinned {
             return members.count < self.bounds.pinned();
@@ -291,13 +295,16 @@ impl Table {
     /// class of [`WhenFull::Evict`] evicts another one.
     fn change(&mut self, id: Id, change: impl FnOnce(&mut Entry)) {
         let Some(entry) = self.entries.get_mut(&id) else { return };
-        let (class, rank) = (entry.class(), entry.rank());
+        let class = entry.class();
+        let rank = entry.rank();
         entry.is_silent = false;
         change(entry);
         if entry.is_leaving {
             return;
         }
-        let (peer, after, new_rank) = (entry.peer, entry.class(), entry.rank());
+        let peer = entry.peer;
+        let after = entry.class();
+        let new_rank = entry.rank();
         self.classes[class as usize].remove(peer, rank, id);
         if after != class && after.when_full() == WhenFull::Evict {
             self.make_room(after, peer);

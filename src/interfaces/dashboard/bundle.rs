@@ -175,7 +175,9 @@ fn is_library(path: &str) -> bool {
 
 /// Returns a library's imports, and the code of its object.
 fn library(path: &str, text: &str) -> (Vec<String>, String) {
-    let (mut imports, mut before, mut members) = (Vec::new(), String::new(), Vec::new());
+    let mut imports = Vec::new();
+    let mut before = String::new();
+    let mut members = Vec::new();
     let mut body = text.to_owned();
     while let Some((names, from, rest)) = cut(&body, "import{") {
         let from = resolved(path, &from);

@@ -15,13 +15,15 @@ use super::visitor::client;
 
 /// Counts and logs a request: a read at DEBUG, any other at INFO.
 pub async fn watch(context: &HttpContext, request: Request, next: impl AsyncFnOnce(Request) -> Response) -> Response {
-    let (method, span) = (request.method().clone(), span(&request));
+    let method = request.method().clone();
+    let span = span(&request);
     let route = request.extensions().get::<MatchedPath>().cloned();
     let is_socket = method == Method::GET && request.uri().path().strip_prefix(API) == Some(SOCKET);
     let handshake = is_socket.then(|| (client(request.extensions()), Handshake::of(request.headers())));
     let since = Instant::now();
     let response = next(request).instrument(span.clone()).await;
-    let (status, duration_ms) = (response.status().as_u16(), since.elapsed().as_millis() as u64);
+    let status = response.status().as_u16();
+    let duration_ms = since.elapsed().as_millis() as u64;
     let refused: Option<&RefusedMark> = response.extensions().get();
     if let Some((client, headers)) = handshake
         && let Some(refused) = refused
@@ -39,7 +41,9 @@ pub async fn watch(context: &HttpContext, request: Request, next: impl AsyncFnOn
 
 /// Returns the span of a request. Most requests are reads: a span that no log shows costs them nothing.
 fn span(request: &Request) -> Span {
-    let (method, path, client) = (request.method(), request.uri().path(), || client(request.extensions()).subject);
+    let method = request.method();
+    let path = request.uri().path();
+    let client = || client(request.extensions()).subject;
     match *method {
         Method::GET | Method::HEAD => debug_span!("request", %method, path, client = %client()),
         _ => info_span!("request", %method, path, client = %client(), command = Empty, fast_stop = Empty),

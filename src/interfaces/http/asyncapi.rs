@@ -60,7 +60,8 @@ struct OwnSchemas;
 #[must_use]
 pub fn document(openapi: &Value) -> Value {
     let own = serde_json::to_value(OwnSchemas::openapi()).unwrap_or_default();
-    let (mut messages, mut operations) = (Map::new(), Map::new());
+    let mut messages = Map::new();
+    let mut operations = Map::new();
     let mut add_method = |name: &str, summary: &str, params: Value, result: Value| {
         let answer = format!("{name}.answer");
         let reply =

@@ -34,7 +34,9 @@ impl HttpContext {
     /// Returns the context of another interface, with its own metrics.
     #[must_use]
     pub fn of_interface(&self, metrics: InterfaceMetrics) -> interfaces::Context {
-        let (gateway, closing, runtimes) = (self.gateway.clone(), self.closing.clone(), self.runtimes.clone());
+        let gateway = self.gateway.clone();
+        let closing = self.closing.clone();
+        let runtimes = self.runtimes.clone();
         interfaces::Context { gateway, closing, runtimes, metrics }
     }
 }

@@ -33,7 +33,8 @@ pub fn flatten(document: &mut Value) {
         }
     }
     let kinds = kinds(&before);
-    let (mut references, mut mapping) = (Vec::new(), Map::new());
+    let mut references = Vec::new();
+    let mut mapping = Map::new();
     for (kind, fields) in kinds {
         let name = format!("{}Event", pascal(&kind));
         let place = format!("#/components/schemas/{name}");
@@ -160,7 +161,8 @@ fn union(one: &Value, other: &Value) -> Value {
 
 /// Joins two descriptions, unless the first contains the second.
 fn sentences(one: &Value, other: &Value) -> Value {
-    let (left, right) = (one.as_str().unwrap_or_default(), other.as_str().unwrap_or_default());
+    let left = one.as_str().unwrap_or_default();
+    let right = other.as_str().unwrap_or_default();
     if left.contains(right) { one.clone() } else { format!("{left} / {right}").into() }
 }
 

@@ -156,7 +156,8 @@ async fn all(
     let Some(_turn) = context.gateway.peers.collection().await else {
         return Err(Problem::new(Code::Overloaded, "other requests to all gateways are in progress: try again later"));
     };
-    let (peers, name) = (&context.gateway.peers, &context.gateway.name);
+    let peers = &context.gateway.peers;
+    let name = &context.gateway.name;
     let own = GatewayAnswer { gateway: name.clone(), result: Some(own), problem: None };
     let mut others = peers.gateways();
     others.retain(|gateway, _| only.is_none_or(|only| only == gateway));

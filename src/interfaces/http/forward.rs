@@ -94,7 +94,8 @@ pub async fn forward(
     // The rights to one of this gateway's grippers say nothing about another gateway's gripper of the same name.
     check(&context.gateway.access, operation.right, &identified.identity, None)?;
     note_use(&context.gateway.access, operation, &identified.identity);
-    let (mut wait, mut aside) = (wait(&parts, operation)?, aside(&parts));
+    let mut wait = wait(&parts, operation)?;
+    let mut aside = aside(&parts);
     if operation.ignores_mistakes {
         aside.retain(|(name, value)| text::<MAX_LEASE_BYTES>(name, value).is_ok());
     }
@@ -114,9 +115,12 @@ pub async fn forward(
         }
         _ => None,
     };
-    let (gateway, client, urgency) = (target.gateway.clone(), identified.client(Door::Http), operation.urgency);
+    let gateway = target.gateway.clone();
+    let client = identified.client(Door::Http);
+    let urgency = operation.urgency;
     let ask = move |params| async move {
-        let (method, params) = (operation.name, Value::Object(params));
+        let method = operation.name;
+        let params = Value::Object(params);
         context
             .gateway
             .peers

@@ -106,7 +106,8 @@ fn add_forwarded(document: &mut Value) {
 /// Turns an operation of a gripper into that of a gripper of any gateway.
 fn forward(operation: &mut Value) {
     let text = |name: &str| operation[name].as_str().unwrap_or_default().to_owned();
-    let (id, summary) = (text("operationId"), text("summary"));
+    let id = text("operationId");
+    let summary = text("summary");
     let description = format!(
         "Like `{id}`, for a gripper of any gateway on the Zenoh network. The gateway that owns the gripper decides. \
          `gateway_gone` means that nothing was sent to it; `gateway_timeout` means that the outcome is unknown."

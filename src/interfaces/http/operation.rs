@@ -54,7 +54,8 @@ pub async fn serve_below(
 ) -> Result<Response, Problem> {
     let gateway = context.gateway.clone();
     let identified = Identified::client_of(&gateway.access, &parts.extensions);
-    let (mut caller, visitor) = (caller(&identified, parts, operation)?, identified.visitor);
+    let mut caller = caller(&identified, parts, operation)?;
+    let visitor = identified.visitor;
     let expected = if operation.is_conditional { expected(&parts.headers)? } else { ExpectedVersion::Any };
     let run = move |fields| async move {
         // A credential can end while a slow body arrives.

@@ -37,7 +37,8 @@ impl IntoResponse for Problem {
             Code::Unauthorized => drop(headers.insert(header::WWW_AUTHENTICATE, BEARER)),
             _ => {}
         }
-        let (code, cause) = (self.code_word(), self.detail().to_owned());
+        let code = self.code_word();
+        let cause = self.detail().to_owned();
         response.extensions_mut().insert(RefusedMark { code, cause, is_recorded: self.is_recorded() });
         response
     }

@@ -53,7 +53,8 @@ async fn around(State(context): State<Arc<HttpContext>>, request: Request, next:
 /// Runs the steps that only an admitted request reaches.
 async fn admitted(context: &HttpContext, request: Request, next: Next) -> Response {
     rights::check(context, request, async |request| {
-        let (method, uri) = (request.method().clone(), request.uri().clone());
+        let method = request.method().clone();
+        let uri = request.uri().clone();
         let served = turn::read_first(request, async |request| next.run(request).await);
         AssertUnwindSafe(served).catch_unwind().await.unwrap_or_else(|_| panicked(&method, uri.path()))
     })

@@ -158,8 +158,10 @@ impl Stream {
             ready.extend(has(Topic::State).then(|| Notification::new("state", &*state)).flatten());
             ready.extend(has(Topic::Telemetry).then(|| Notification::telemetry(&state)).flatten());
         }
-        let (metrics, closing) = (context.metrics.clone(), context.closing.clone());
-        let (client, pace) = ((context.gateway.access.clone(), visitor), Pace::new(max_hz as u32));
+        let metrics = context.metrics.clone();
+        let closing = context.closing.clone();
+        let client = (context.gateway.access.clone(), visitor);
+        let pace = Pace::new(max_hz as u32);
         let mut checks = tokio::time::interval(CHECKED_EVERY);
         checks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         Ok(Self { events, updates, pace, metrics, ready, closing, client, checks, _claim: None })

@@ -41,7 +41,8 @@ pub async fn open(Shared(context): Shared<Arc<HttpContext>>, mut request: Reques
     let identified = Identified::client_of(&context.gateway.access, request.extensions());
     // The rights are checked for each request.
     identified.identity.as_ref().map_err(|unknown| *unknown)?;
-    let (client, visitor) = (identified.client(Door::Ws), identified.visitor);
+    let client = identified.client(Door::Ws);
+    let visitor = identified.visitor;
     let mut response = create_response_with_body(&request, Body::empty).map_err(|error| {
         let detail = format!(
             "invalid WebSocket handshake: {error}; connect with the subprotocol {SUBPROTOCOL}, and let a proxy pass on \

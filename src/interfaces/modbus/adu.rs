@@ -58,8 +58,10 @@ pub(super) fn begins_with_write(first: &[u8]) -> bool {
 
 /// Splits a frame into its header and its request, which begins with the function code.
 pub(super) fn parse(mut frame: Bytes) -> Result<(Header, Bytes), NotModbus> {
-    let (transaction, protocol) = (frame.try_get_u16(), frame.try_get_u16());
-    let (_length, unit) = (frame.try_get_u16(), frame.try_get_u8());
+    let transaction = frame.try_get_u16();
+    let protocol = frame.try_get_u16();
+    let _length = frame.try_get_u16();
+    let unit = frame.try_get_u8();
     let (Ok(transaction), Ok(0), Ok(unit), Some(&function)) = (transaction, protocol, unit, frame.first()) else {
         return Err(NotModbus);
     };

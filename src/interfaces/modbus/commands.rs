@@ -88,7 +88,8 @@ impl CommandRegisters {
     /// Values of a grip or of a release: of the registers, of the recipe, or of both.
     fn values(&self, has_force: bool) -> Result<Value, OutOfRange> {
         let recipe = u8::try_from(self.recipe).map_err(|_| OutOfRange)?;
-        let (uses_recipe, overrides) = (recipe != 0, self.options & OVERRIDE_RECIPE != 0);
+        let uses_recipe = recipe != 0;
+        let overrides = self.options & OVERRIDE_RECIPE != 0;
         // 0 leaves the recipe's value as it is.
         let is_given = |register: bool| if uses_recipe { overrides && register } else { true };
         let given = [

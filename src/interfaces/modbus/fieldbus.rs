@@ -63,7 +63,8 @@ impl FieldbusRegisters {
     /// the fingers.
     pub(super) fn order_since(self, before: FieldbusFlags, is_jogging: bool) -> Option<ModbusOrder> {
         let rising = self.flags.0 & !before.0;
-        let (width_mm, speed_mm_s) = (f64::from(self.width) / 100.0, f64::from(self.speed) / 100.0);
+        let width_mm = f64::from(self.width) / 100.0;
+        let speed_mm_s = f64::from(self.speed) / 100.0;
         let lowest = rising & rising.wrapping_neg();
         let ends_jog = is_jogging && self.flags.ends_jog_since(before);
         Some(match lowest {

@@ -32,7 +32,9 @@ fn fast_stop_of(image: &Image) -> u16 {
 }
 
 fn requests(stream: &[u8], in_pieces_of: usize) -> Vec<Result<(Header, Bytes), NotModbus>> {
-    let (mut codec, mut buffer, mut requests) = (adu::frames(), BytesMut::new(), Vec::new());
+    let mut codec = adu::frames();
+    let mut buffer = BytesMut::new();
+    let mut requests = Vec::new();
     for piece in stream.chunks(in_pieces_of.max(1)) {
         buffer.extend_from_slice(piece);
         loop {

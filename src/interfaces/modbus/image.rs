@@ -164,7 +164,8 @@ impl Image {
     /// # Errors
     /// [`WriteError`]. After [`WriteError::Value`] the registers are written, and the command has ended.
     pub(super) fn write(&mut self, now: Instant, address: u16, words: &[u16]) -> Result<WriteEffect, WriteError> {
-        let (flags, before) = (self.flags(), self.commands());
+        let flags = self.flags();
+        let before = self.commands();
         self.outputs.set(address, words).ok_or(WriteError::Address)?;
         let writes = |register: u16| (address..address.saturating_add(words.len() as u16)).contains(&register);
         self.is_fieldbus_prepared |= writes(FLAGS_AT) && self.flags().is_empty();

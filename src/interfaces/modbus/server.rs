@@ -27,7 +27,8 @@ pub async fn serve(
     settings: watch::Receiver<Arc<ModbusSettings>>,
     (draining, closing): (CancellationToken, CancellationToken),
 ) -> io::Result<()> {
-    let (listener, settings) = (TcpListener::from_std(listener)?, NewestSettings::of(settings));
+    let listener = TcpListener::from_std(listener)?;
+    let settings = NewestSettings::of(settings);
     let admission = Admission::new(Bounds::alike(descriptors));
     let admitting = admission.clone();
     let admit = move |stream, peer| {

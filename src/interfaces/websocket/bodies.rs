@@ -53,7 +53,8 @@ pub fn subscribe(gateway: &Gateway, params: &Value) -> Result<(Subscribed, Follo
     let names = grippers.map(|names| names.iter().map(|name| known(gateway, name)).collect()).transpose()?;
     let max_hz = max_hz.map_or(Ok(DEFAULT_HZ), |number| integer("max_hz", number, 1..=MAX_HZ))?;
     let mut updates = gateway.updates.subscribe(names.as_ref(), topics.iter().copied());
-    let (event_seq, states) = (updates.event_seq(), updates.snapshot());
+    let event_seq = updates.event_seq();
+    let states = updates.snapshot();
     Ok((Subscribed { topics, max_hz, event_seq, states }, Following { updates, max_hz }))
 }
 

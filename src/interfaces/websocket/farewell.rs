@@ -70,7 +70,8 @@ impl Socket {
             _ => FAREWELL_WITHIN,
         };
         let farewell = async {
-            let (mut is_writing, mut is_reading) = (true, true);
+            let mut is_writing = true;
+            let mut is_reading = true;
             // Reads meanwhile, in case the client sends a FAST STOP but reads nothing.
             while is_writing || is_reading {
                 tokio::select! {
@@ -92,7 +93,8 @@ impl Socket {
 
     /// Begins the FAST STOPs and Stops among the messages that have arrived. They end without the socket.
     async fn take_last_stops(&mut self, begun: &mut Begun) {
-        let (mut messages, mut misses) = (0, 0);
+        let mut messages = 0;
+        let mut misses = 0;
         while messages < MAX_LAST_MESSAGES && misses < MAX_MISSES {
             match self.incoming.next().now_or_never() {
                 Some(Some(Ok(message))) => {

@@ -180,7 +180,10 @@ pub fn parse(text: &str) -> Incoming {
 /// Parses a request. A request for a FAST STOP is accepted even if malformed.
 fn call(mut request: Value) -> Result<RpcCall, RpcResponse> {
     let mut take = |key: &str| request.get_mut(key).map(Value::take);
-    let (version, id, method, params) = (take("jsonrpc"), take("id"), take("method"), take("params"));
+    let version = take("jsonrpc");
+    let id = take("id");
+    let method = take("method");
+    let params = take("params");
     let params = params.unwrap_or_default();
     let label = match take("client") {
         Some(Value::String(label)) => Some(label),

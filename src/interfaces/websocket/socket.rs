@@ -272,7 +272,8 @@ impl Socket {
             Incoming::One(call) => (vec![call], false),
             Incoming::Batch(calls) => (calls, true),
         };
-        let (requests, bytes) = (calls.len(), text.len());
+        let requests = calls.len();
+        let bytes = text.len();
         self.under_way += requests;
         self.request_bytes += bytes;
         self.count();

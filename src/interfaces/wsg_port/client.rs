@@ -113,7 +113,8 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
         (reader, writer): (R, W),
         silence: Option<Duration>,
     ) -> Self {
-        let (ids, period_ms) = (port.gripper.custom_ids(), port.gripper.update_period_ms());
+        let ids = port.gripper.custom_ids();
+        let period_ms = port.gripper.update_period_ms();
         let device = VirtualDevice::new(client.subject.clone(), &port.rules, ids, period_ms);
         Self {
             port,
@@ -199,7 +200,8 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
                 self.written = 0;
                 self.outgoing = self.device.poll_frame().unwrap_or_default();
             }
-            let (state, is_writing) = (self.port.gripper.state(), !self.outgoing.is_empty());
+            let state = self.port.gripper.state();
+            let is_writing = !self.outgoing.is_empty();
             self.forget_lost_lease(&state);
             self.keep_claimed_lease(&state);
             let holds_lease = self.kept.is_some();
@@ -303,7 +305,8 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             let is_late = self.is_too_late(&ordered.order);
             let allowed = rights::check(&self.port, self.address, &ordered.order);
             if is_late || allowed.is_err() {
-                let (ask, status) = (ordered.ask, Status::E_ACCESS_DENIED);
+                let ask = ordered.ask;
+                let status = Status::E_ACCESS_DENIED;
                 if let Some(cause) = allowed.err().filter(|_| !is_late) {
                     self.refusals.record(&self.port, &self.client, &Refused { id: ask.id, status, cause });
                 }
@@ -323,7 +326,9 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
     }
 
     fn step_of(&self, PortOrdered { ask, order }: PortOrdered) -> BoxFuture<'static, Step> {
-        let (gripper, client, token) = (self.port.gripper.clone(), self.client.clone(), self.token.clone());
+        let gripper = self.port.gripper.clone();
+        let client = self.client.clone();
+        let token = self.token.clone();
         let order = match order {
             PortOrder::Exchange(wsg::Command::Custom(custom)) if gripper.custom_ids().stream.contains(&custom.id()) => {
                 PortOrder::Command(Action::Motion(Motion::Custom(custom)))

@@ -21,7 +21,8 @@ pub(crate) fn session(data: &[u8]) {
     let rules = Rules { checksum_evaluation: rules % 2 == 1, acknowledge, ..Rules::default() };
     let Some((mut device, mut state)) = connected(&rules) else { return };
     nested(&rules, steps);
-    let (mut now, mut orders) = (Instant::now(), VecDeque::new());
+    let mut now = Instant::now();
+    let mut orders = VecDeque::new();
     while let Some((&step, rest)) = steps.split_first() {
         steps = rest;
         match step {

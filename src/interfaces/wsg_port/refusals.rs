@@ -118,7 +118,8 @@ impl Refusals {
 
     fn note(&mut self, port: &Port, client: &Client, (id, status): (u8, Status), cause: String, remedy: &'static str) {
         let command = id::name(id).map_or_else(|| format!("{id:02X}h"), ToOwned::to_owned);
-        let (gripper, code) = (port.gripper.name(), status.to_string());
+        let gripper = port.gripper.name();
+        let code = status.to_string();
         port.metrics.refused(gripper.as_str(), status.name());
         if self.logged.insert(remedy) {
             tracing::warn!(%gripper, client = %client.subject, command, code, cause, remedy, "request refused");

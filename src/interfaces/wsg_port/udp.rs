@@ -72,10 +72,13 @@ pub(super) async fn serve(
     draining: CancellationToken,
     closing: CancellationToken,
 ) -> Option<UdpSocket> {
-    let (socket, admission) = (Arc::new(socket), port.admission());
+    let socket = Arc::new(socket);
+    let admission = port.admission();
     unreachable::report(&socket);
-    let (mut known, mut clients) = (HashMap::<SocketAddr, UdpClient>::new(), JoinSet::new());
-    let (mut ignored, mut unheard) = (WarnedHosts::default(), WarnedHosts::default());
+    let mut known = HashMap::<SocketAddr, UdpClient>::new();
+    let mut clients = JoinSet::new();
+    let mut ignored = WarnedHosts::default();
+    let mut unheard = WarnedHosts::default();
     let mut foreign = WarnedHosts::default();
     let mut datagram = vec![0; MAX_DATAGRAM_BYTES];
     let gripper = port.gripper.name();

@@ -147,7 +147,8 @@ impl Clients {
 
     /// Returns what a lease of this holder can be bound to: its session if that is connected here, else its token.
     pub async fn bond(&self, holder: Option<String>, zid: Option<ZenohId>) -> Option<Bond> {
-        let (session, token) = (zid.map(Bond::Session), holder.clone().map(Bond::Token));
+        let session = zid.map(Bond::Session);
+        let token = holder.clone().map(Bond::Token);
         let is_full = {
             let known = self.known();
             if let Some(bond) = session.into_iter().chain(token.clone()).find(|bond| known.has(bond)) {

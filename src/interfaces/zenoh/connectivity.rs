@@ -56,7 +56,9 @@ impl Connectivity {
         network: &Peers,
         mut opened: impl FnMut(&[String]),
     ) {
-        let (mut known, mut looks_after, mut was_connected) = (Vec::new(), LOOKS_AFTER, false);
+        let mut known = Vec::new();
+        let mut looks_after = LOOKS_AFTER;
+        let mut was_connected = false;
         loop {
             let mut locators: Vec<_> = session.info().locators().await.iter().map(ToString::to_string).collect();
             // The list can lack an open listener: for 0.0.0.0, it has only addresses beyond loopback of interfaces that
@@ -148,7 +150,8 @@ struct Place {
 impl Place {
     fn of(endpoint: &str) -> Option<Self> {
         let endpoint: EndPoint = endpoint.parse().ok()?;
-        let (protocol, address) = (endpoint.protocol().as_str().to_owned(), endpoint.address().as_str().to_owned());
+        let protocol = endpoint.protocol().as_str().to_owned();
+        let address = endpoint.address().as_str().to_owned();
         let (host, port) = address.rsplit_once(':')?;
         let host = host.trim_matches(['[', ']']).parse().ok().filter(|host: &IpAddr| !host.is_unspecified());
         Some(Self { protocol, host, port: port.parse().ok()? })

@@ -139,13 +139,16 @@ impl Queries {
         gripper: &Name,
     ) -> zenoh::Result<[Queryable<()>; 3]> {
         let read = |operation: &'static Operation| {
-            let (queries, key) = (self.clone(), self.keys.gripper(gripper, operation.name));
+            let queries = self.clone();
+            let key = self.keys.gripper(gripper, operation.name);
             let params = Map::from_iter([(GRIPPER.to_owned(), gripper.as_str().into())]);
             let answered = key.clone();
             let answer = move |query: Query| queries.read(query, answered.clone(), operation, params.clone());
             session.declare_queryable(key).callback(answer)
         };
-        let (queries, name, key) = (self.clone(), gripper.clone(), self.keys.command(Some(gripper), "*"));
+        let queries = self.clone();
+        let name = gripper.clone();
+        let key = self.keys.command(Some(gripper), "*");
         let answer = move |query: Query| queries.command(query, Some(&name));
         let commands = session.declare_queryable(key).callback(answer);
         let [state, info] = GRIPPER_READS.map(read);
@@ -162,7 +165,8 @@ impl Queries {
         let queries = self.clone();
         let answer = move |query: Query| queries.command(query, None);
         session.declare_queryable(self.keys.command(None, "*")).callback(answer).background().await?;
-        let (queries, key) = (self.clone(), self.keys.own("fleet"));
+        let queries = self.clone();
+        let key = self.keys.own("fleet");
         let answer = move |query: Query| queries.read(query, queries.keys.own("fleet"), &fleet::LIST, Map::new());
         session.declare_queryable(key).callback(answer).background().await
     }
@@ -403,7 +407,8 @@ fn is_of_gateway(key: &str) -> bool {
 /// Parses a query's payload, within the bounds of a request's body.
 fn body(payload: &[u8]) -> Result<Map<String, Value>, Problem> {
     if payload.len() > MAX_BODY_BYTES {
-        let (bytes, max) = (payload.len(), MAX_BODY_BYTES);
+        let bytes = payload.len();
+        let max = MAX_BODY_BYTES;
         let detail = format!("the payload has {bytes} bytes; at most {max} are allowed");
         return Err(Problem::new(Code::TooLarge, detail).value(Some(bytes.into())).limits(None, Some(max.into())));
     }

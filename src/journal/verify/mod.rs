@@ -295,7 +295,9 @@ impl Verifier {
         let mut rows = statement.query([])?;
         while let Some(row) = rows.next()? {
             let text = |i| row.get_ref(i).map(|text| text.as_bytes().map(String::from_utf8_lossy).unwrap_or_default());
-            let (gripper, key, value) = (text(0)?, text(1)?, text(2)?);
+            let gripper = text(0)?;
+            let key = text(1)?;
+            let value = text(2)?;
             self.report.memories += u64::from(gripper != NO_GRIPPER);
             if !row.get_ref(3)?.as_blob().is_ok_and(|hash| hash == memory_hash(&gripper, &key, &value)) {
                 self.find(format!("memory {gripper} {key}"), "changed since it was written (hash mismatch)");

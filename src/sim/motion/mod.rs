@@ -296,7 +296,8 @@ impl Mechanics {
                 self.end_of_back_off(progress, blocked)
             }
             Activity::Move { drive, clamp, pressing } => {
-                let (drive, clamp) = (*drive, *clamp);
+                let drive = *drive;
+                let clamp = *clamp;
                 let progress = self.axis.step(&drive, &surfaces);
                 count(pressing, progress);
                 let blocked = *pressing >= BLOCK_STEPS;
@@ -314,7 +315,8 @@ impl Mechanics {
             }
             Activity::Hold(hold) => {
                 let progress = hold.step(&mut self.axis, &surfaces);
-                let (direction, is_lost) = (hold.direction(), hold.is_lost(progress));
+                let direction = hold.direction();
+                let is_lost = hold.is_lost(progress);
                 self.steady = matches!(progress, Progress::Pressing(_));
                 self.block_stopped &= self.steady;
                 self.blocked = (self.steady && !self.block_stopped).then_some(direction);
@@ -365,7 +367,8 @@ impl Mechanics {
         if matches!(self.activity, Activity::Stopping | Activity::Braking) {
             return false;
         }
-        let (minus_mm, plus_mm) = (f64::from(limits.minus().mm()), f64::from(limits.plus().mm()));
+        let minus_mm = f64::from(limits.minus().mm());
+        let plus_mm = f64::from(limits.plus().mm());
         self.axis.speed_mm_s < 0.0 && self.width_mm() < minus_mm - AT_LIMIT_MM
             || self.axis.speed_mm_s > 0.0 && self.width_mm() > plus_mm + AT_LIMIT_MM
     }

@@ -77,7 +77,8 @@ impl CanAddress {
             return Err("the interface is missing or invalid: expected a name such as can0".to_owned());
         }
         let id = |name, default| Ok::<_, String>(options.number(name, 0..=MAX_ID)?.map_or(default, |id| id as u16));
-        let (tx, rx) = (id("tx", DEFAULT_TX)?, id("rx", DEFAULT_RX)?);
+        let tx = id("tx", DEFAULT_TX)?;
+        let rx = id("rx", DEFAULT_RX)?;
         if tx == rx {
             return Err(format!("tx and rx are both {tx:#x}: requests and replies need different ids"));
         }
@@ -141,7 +142,8 @@ impl CanAddress {
     /// Opens separate sockets for listening and sending, so that they share no state. The sending one receives only its
     /// own frames, once they were sent.
     fn open(&self) -> io::Result<(CanSocket, CanSocket)> {
-        let (listening, sending) = (CanSocket::open(&self.interface)?, CanSocket::open(&self.interface)?);
+        let listening = CanSocket::open(&self.interface)?;
+        let sending = CanSocket::open(&self.interface)?;
         listening.set_filters(&[CanFilter::new(self.rx.into(), WHOLE_ID)])?;
         listening.set_error_filter(BUS_OFF)?;
         sending.set_filters(&[CanFilter::new(self.tx.into(), WHOLE_ID)])?;

@@ -264,7 +264,8 @@ impl Session {
         let before = out.len();
         // A client's Loop and the session's own share one id, so only one can be in flight.
         let loop_busy = self.barrier.is_in_flight();
-        let (first_stop, fast_stop_waits) = (self.lanes.first_stop(), self.has_waiting(id::FAST_STOP));
+        let first_stop = self.lanes.first_stop();
+        let fast_stop_waits = self.has_waiting(id::FAST_STOP);
         let may_move = self.may_move();
         let is_open = |waiting: &Waiting| {
             let command = &waiting.request.command;
@@ -305,8 +306,10 @@ impl Session {
     pub fn poll_timeout(&self) -> Option<Instant> {
         let in_flight = self.slots.in_flight().map(|(_, in_flight)| in_flight.deadline).min();
         let probe = (!self.barrier.is_in_flight() && !self.barrier.is_wanted()).then(|| self.probes_at());
-        let (waiting, script) = (self.lanes.next_deadline(), self.slots.script_deadline());
-        let (barrier, duplicate) = (self.barrier.deadline(), self.slots.duplicate_deadline());
+        let waiting = self.lanes.next_deadline();
+        let script = self.slots.script_deadline();
+        let barrier = self.barrier.deadline();
+        let duplicate = self.slots.duplicate_deadline();
         let echo = if self.barrier.is_deaf() { self.slots.echo_deadline() } else { None };
         let deadlines = [in_flight, waiting, script, duplicate, barrier, self.decoder.deadline(), probe, echo];
         deadlines.into_iter().flatten().min()

@@ -88,7 +88,8 @@ impl Session {
                     self.events.push_back(SessionEvent::Accepted(in_flight.token));
                 }
                 Verdict::Final => {
-                    let (token, order) = (in_flight.token, in_flight.order);
+                    let token = in_flight.token;
+                    let order = in_flight.order;
                     if !in_flight.accepted {
                         self.round_trip = Some(now.saturating_duration_since(in_flight.sent_at));
                     }

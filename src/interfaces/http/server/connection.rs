@@ -229,7 +229,8 @@ impl Service<Request<Incoming>> for Requests {
         if !request.body().is_end_stream() {
             self.permit.receiving();
         }
-        let (settings, access) = (self.server.context.settings.get(), &self.server.context.gateway.access);
+        let settings = self.server.context.settings.get();
+        let access = &self.server.context.gateway.access;
         let origin = self.origin.clone();
         let identified = if let Some(ticket) = tickets::presented(&request) {
             Identified::with(access, access.take_ticket(&ticket), origin)

@@ -186,7 +186,9 @@ impl ModbusConnection {
     async fn serve_requests(&mut self, closing: &CancellationToken) -> Result<Infallible, ConnectionEnd> {
         let permit = self.permit.clone();
         // The futures are kept, since each request would cost a new one.
-        let (closed, evicted, timer) = (closing.cancelled(), permit.evicted(), sleep_until(self.due().into()));
+        let closed = closing.cancelled();
+        let evicted = permit.evicted();
+        let timer = sleep_until(self.due().into());
         tokio::pin!(closed, evicted, timer);
         let mut rights_checks = interval(RIGHTS_CHECKED_EVERY);
         rights_checks.set_missed_tick_behavior(MissedTickBehavior::Delay);

@@ -34,7 +34,8 @@ impl ModbusConnection {
     pub(super) fn fast_stop(&mut self, target: &Target) {
         // A FAST STOP itself never waits.
         self.delay_next(self.pace.fast_stop_due(clock::instant().into()));
-        let (gateway, caller) = (self.context.gateway.clone(), self.caller());
+        let gateway = self.context.gateway.clone();
+        let caller = self.caller();
         let mut params = Map::from_iter([("reason".to_owned(), json!("Modbus"))]);
         if let Target::Gripper(gripper) = target {
             params.insert("gripper".to_owned(), json!(gripper.name()));
@@ -53,7 +54,8 @@ impl ModbusConnection {
             Ok(method) => method,
             Err(problem) => return self.image(&target).ended(number, Ended::refused(problem)),
         };
-        let (gateway, mut caller) = (self.context.gateway.clone(), self.caller());
+        let gateway = self.context.gateway.clone();
+        let mut caller = self.caller();
         let held = self.held_token(gripper);
         // A motion that is being admitted can have taken the lease.
         let claimed = self.claiming.contains_key(gripper.name()).then(|| self.token.clone());

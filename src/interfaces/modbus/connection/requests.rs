@@ -108,7 +108,8 @@ impl ModbusConnection {
             }
             Target::Gripper(gripper) => {
                 let is_holder = self.held_token(gripper).is_some();
-                let (subject, is_claiming) = (self.client.subject.clone(), self.claiming.contains_key(gripper.name()));
+                let subject = self.client.subject.clone();
+                let is_claiming = self.claiming.contains_key(gripper.name());
                 let image = self.image(target);
                 let state = image.read(|| gripper.state());
                 // The lease of a motion that has just taken it is kept a moment later.
