@@ -115,11 +115,9 @@ impl Trends {
             }
             samples.push_back(sample);
         }
-        let is_old = |sample: &TrendSample, now: Instant| {
-            now.saturating_duration_since(sample.at) > SAMPLED_EVERY * MAX_SAMPLES as u32
-        };
+        let kept_for = SAMPLED_EVERY * MAX_SAMPLES as u32;
         // The first sample can be older, because it begins a stretch.
-        while samples.get(1).is_some_and(|second| is_old(second, sample.at)) {
+        while samples.get(1).is_some_and(|second| sample.at.saturating_duration_since(second.at) > kept_for) {
             samples.pop_front();
         }
     }

@@ -57,18 +57,21 @@ impl KnownClient {
     pub(super) fn find(clients: &[Self], origin: &ClientOrigin) -> Option<Identity> {
         // A connection can outlast its certificate.
         let certificate = origin.certificate.as_ref().filter(|certificate| certificate.expires_at > Timestamp::now());
-        let by_certificate = certificate.and_then(|certificate| {
-            let is_holder =
-                |client: &&Self| matches!(&client.matched_by, ClientMatch::Certificate(name) if **name == *certificate.common_name);
-            clients.iter().find(is_holder)
-        });
-        let by_address = || {
-            let address = origin.address?;
-            clients
-                .iter()
-                .find(|client| matches!(&client.matched_by, ClientMatch::Address(net) if net.contains(&address)))
-        };
-        by_certificate.or_else(by_address).map(Self::identity)
+        if let Some(certificate) = certificate
+            && let Some(holder) = clients.iter().find(|client| client.holds(certificate))
+        {
+            return Some(holder.identity());
+        }
+        let address = origin.address?;
+        clients.iter().find(|client| client.is_at(address)).map(Self::identity)
+    }
+
+    fn holds(&self, certificate: &ClientCertificate) -> bool {
+        matches!(&self.matched_by, ClientMatch::Certificate(name) if **name == *certificate.common_name)
+    }
+
+    fn is_at(&self, address: IpAddr) -> bool {
+        matches!(&self.matched_by, ClientMatch::Address(network) if network.contains(&address))
     }
 
     fn identity(&self) -> Identity {

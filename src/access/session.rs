@@ -79,11 +79,11 @@ impl Sessions {
         let id = SessionId::generate()?;
         let open = &mut self.open().sessions;
         open.retain(|_, session| session.is_open(now, times));
-        let own = || open.iter().filter(|(_, session)| session.token == token);
-        let is_full = open.len() >= MAX_SESSIONS;
-        if own().count() >= MAX_PER_TOKEN || is_full {
+        let own_sessions = open.values().filter(|session| session.token == token).count();
+        if own_sessions >= MAX_PER_TOKEN || open.len() >= MAX_SESSIONS {
             // A token's further sessions replace its own before those of others.
-            let oldest = own().min_by_key(|(_, session)| session.used);
+            let own = open.iter().filter(|(_, session)| session.token == token);
+            let oldest = own.min_by_key(|(_, session)| session.used);
             let oldest = oldest.or_else(|| open.iter().min_by_key(|(_, session)| session.used));
             if let Some(oldest) = oldest.map(|(id, _)| id.clone()) {
                 open.remove(&oldest);

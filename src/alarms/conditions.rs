@@ -70,9 +70,7 @@ fn add_named(alarm: AlarmKind, name: &Arc<str>, cause: &str, conditions: &mut Co
 
 /// Adds the conditions of a gripper. One that has only just begun to connect raises no alarm for its link.
 pub(super) fn of_gripper(state: &State, now: Instant, is_starting: bool, conditions: &mut Conditions) {
-    let mut add = |alarm, cause: Option<AlarmCause>| {
-        conditions.insert(AlarmKey::of_gripper(alarm, &state.gripper), cause);
-    };
+    let gripper = &state.gripper;
     match (&state.latch, state.fast_stop) {
         (Some(latch), _) => {
             let cause = AlarmCause {
@@ -82,48 +80,53 @@ pub(super) fn of_gripper(state: &State, now: Instant, is_starting: bool, conditi
                 fast_stop_reason: Some(latch.fast_stop_reason.as_str().into()),
                 ..AlarmCause::default()
             };
-            add(AlarmKind::FastStop, Some(cause));
+            add(AlarmKind::FastStop, gripper, Some(cause), conditions);
         }
-        (None, None) => add(AlarmKind::FastStop, None),
+        (None, None) => add(AlarmKind::FastStop, gripper, None, conditions),
         (None, Some(_)) => {}
     }
-    let link_cause = || state.link_cause.as_deref().map_or_else(AlarmCause::default, text);
+    let link_cause = state.link_cause.as_deref().map_or_else(AlarmCause::default, text);
     match state.link {
         Link::Connected => {}
         Link::Connecting if is_starting => {
-            add(AlarmKind::NotReached, None);
-            add(AlarmKind::LinkDown, None);
+            add(AlarmKind::NotReached, gripper, None, conditions);
+            add(AlarmKind::LinkDown, gripper, None, conditions);
         }
-        Link::Connecting => add(AlarmKind::NotReached, Some(link_cause())),
-        Link::Unresponsive | Link::Reconnecting => add(AlarmKind::LinkDown, Some(link_cause())),
-        Link::Released => add(AlarmKind::LinkReleased, Some(link_cause())),
+        Link::Connecting => add(AlarmKind::NotReached, gripper, Some(link_cause), conditions),
+        Link::Unresponsive | Link::Reconnecting => add(AlarmKind::LinkDown, gripper, Some(link_cause), conditions),
+        Link::Released => add(AlarmKind::LinkReleased, gripper, Some(link_cause), conditions),
     }
     if let (Some(holder), None) = (&state.reserved_for, &state.lease_holder) {
-        add(AlarmKind::HolderLost, Some(AlarmCause { cause: Some(Arc::clone(holder)), ..AlarmCause::default() }));
+        let cause = AlarmCause { cause: Some(Arc::clone(holder)), ..AlarmCause::default() };
+        add(AlarmKind::HolderLost, gripper, Some(cause), conditions);
     }
     let flags = state.values.flag_names(now);
     for (flag, alarm) in FLAGS {
         match &flags {
-            Some(flags) if flags.contains(&flag) => add(alarm, Some(AlarmCause::default())),
+            Some(flags) if flags.contains(&flag) => add(alarm, gripper, Some(AlarmCause::default()), conditions),
             Some(_) => {}
-            None => add(alarm, None),
+            None => add(alarm, gripper, None, conditions),
         }
     }
     match state.values.state_name(now) {
-        Some("PART_LOST") => add(AlarmKind::PartLost, Some(AlarmCause::default())),
+        Some("PART_LOST") => add(AlarmKind::PartLost, gripper, Some(AlarmCause::default()), conditions),
         Some(_) => {}
-        None => add(AlarmKind::PartLost, None),
+        None => add(AlarmKind::PartLost, gripper, None, conditions),
     }
     // Without the flags, the cause of the link names all unknown values.
     let unknown = state.values.missing(now).filter(|_| state.link == Link::Connected && flags.is_some());
     let unknown: Vec<_> = unknown.map(|(name, missing)| format!("{name} ({missing})")).collect();
     if !unknown.is_empty() {
-        add(AlarmKind::ValueUnknown, Some(text(&unknown.join(", "))));
+        add(AlarmKind::ValueUnknown, gripper, Some(text(&unknown.join(", "))), conditions);
     }
     for (fault, alarm) in FAULTS {
         match state.fault_code {
             0 => {}
-            code => add(alarm, (code == fault.code()).then(AlarmCause::default)),
+            code => add(alarm, gripper, (code == fault.code()).then(AlarmCause::default), conditions),
         }
     }
+}
+
+fn add(alarm: AlarmKind, gripper: &Name, cause: Option<AlarmCause>, conditions: &mut Conditions) {
+    conditions.insert(AlarmKey::of_gripper(alarm, gripper), cause);
 }

@@ -29,6 +29,17 @@ pub(super) struct AlarmKey {
 }
 
 impl AlarmKey {
+    /// Key of an alarm that was listed.
+    fn of(alarm: &Alarm) -> Self {
+        Self {
+            alarm: alarm.alarm,
+            gripper: alarm.gripper.clone(),
+            gateway: alarm.gateway.clone(),
+            part_id: alarm.cause.part_id.clone(),
+            name: alarm.cause.name.clone(),
+        }
+    }
+
     /// Key of an alarm that this gateway has at most once.
     pub(super) fn of_gateway(alarm: AlarmKind) -> Self {
         Self { alarm, gripper: None, gateway: None, part_id: None, name: None }
@@ -61,17 +72,8 @@ pub(super) struct AlarmList(BTreeMap<AlarmKey, Entry>);
 impl AlarmList {
     /// Continues the alarms of the last run. Active ones stay active until their condition is known to be absent.
     pub(super) fn restored(alarms: Vec<Alarm>) -> Self {
-        let entry = |alarm: Alarm| {
-            let key = AlarmKey {
-                alarm: alarm.alarm,
-                gripper: alarm.gripper.clone(),
-                gateway: alarm.gateway.clone(),
-                part_id: alarm.cause.part_id.clone(),
-                name: alarm.cause.name.clone(),
-            };
-            (key, Entry { alarm, absent_since: None })
-        };
-        Self(alarms.into_iter().take(MAX_ALARMS).map(entry).collect())
+        let alarms = alarms.into_iter().take(MAX_ALARMS);
+        Self(alarms.map(|alarm| (AlarmKey::of(&alarm), Entry { alarm, absent_since: None })).collect())
     }
 
     pub(super) fn alarms(&self) -> Vec<Alarm> {
@@ -146,10 +148,14 @@ impl AlarmList {
     /// Removes the alarm that ended first, or else one of a lower priority. The journal still has it.
     fn make_room(&mut self, priority: AlarmPriority) -> bool {
         let ended = self.0.iter().filter_map(|(key, entry)| Some((entry.alarm.ended_at?, key)));
-        let lower = self.0.iter().filter(|(_, entry)| entry.alarm.priority > priority);
-        let least = || lower.max_by_key(|(_, entry)| entry.alarm.priority).map(|(key, _)| key.clone());
-        let dropped = ended.min().map(|(_, key)| key.clone()).or_else(least);
-        dropped.and_then(|key| self.0.remove(&key)).is_some()
+        let dropped = if let Some((_, key)) = ended.min() {
+            key.clone()
+        } else {
+            let lower = self.0.iter().filter(|(_, entry)| entry.alarm.priority > priority);
+            let Some((key, _)) = lower.max_by_key(|(_, entry)| entry.alarm.priority) else { return false };
+            key.clone()
+        };
+        self.0.remove(&dropped).is_some()
     }
 
     /// Acknowledges the alarms with these ids. Returns those that were listed, with their changes.

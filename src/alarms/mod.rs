@@ -168,32 +168,33 @@ impl Alarms {
 
     /// Adds the conditions of this gateway and of others.
     fn add_of_gateway(&self, peers: &Peers, running_for: Duration, conditions: &mut Conditions) {
-        let mut add = |alarm, gateway, cause| {
-            conditions.insert(AlarmKey { gateway, ..AlarmKey::of_gateway(alarm) }, Some(cause));
-        };
         let health = self.journal.health();
         let health = health.borrow();
         if let Some(failure) = &health.failure {
-            add(AlarmKind::JournalDown, None, text(failure));
+            conditions.insert(AlarmKey::of_gateway(AlarmKind::JournalDown), Some(text(failure)));
         }
         if let Some(cause) = &health.restored {
-            add(AlarmKind::JournalRestored, None, text(cause));
+            conditions.insert(AlarmKey::of_gateway(AlarmKind::JournalRestored), Some(text(cause)));
         }
         if let Some(cause) = &health.clock {
-            add(AlarmKind::ClockDoubtful, None, text(cause));
+            conditions.insert(AlarmKey::of_gateway(AlarmKind::ClockDoubtful), Some(text(cause)));
         }
         if let Some(damage) = &health.damage {
-            add(AlarmKind::JournalDamaged, None, text(damage));
+            conditions.insert(AlarmKey::of_gateway(AlarmKind::JournalDamaged), Some(text(damage)));
         }
         let gateways = peers.gateways();
         for (gateway, _) in gateways.iter().filter(|(_, is_gone)| **is_gone) {
-            add(AlarmKind::GatewayGone, Some(gateway.clone()), AlarmCause::default());
+            let key = AlarmKey { gateway: Some(gateway.clone()), ..AlarmKey::of_gateway(AlarmKind::GatewayGone) };
+            conditions.insert(key, Some(AlarmCause::default()));
         }
         // A gateway that was gone before this one started is not known to be back.
         if running_for < KEPT_FOR {
-            let is_unknown = |key: &&AlarmKey| key.gateway.as_ref().is_some_and(|one| !gateways.contains_key(one));
             let known = self.known();
-            conditions.extend(known.list.gone_gateways().filter(is_unknown).map(|key| (key.clone(), None)));
+            for key in known.list.gone_gateways() {
+                if key.gateway.as_ref().is_some_and(|gateway| !gateways.contains_key(gateway)) {
+                    conditions.insert(key.clone(), None);
+                }
+            }
         }
     }
 

@@ -82,9 +82,9 @@ pub(super) async fn reload(args: &ReloadArgs) -> anyhow::Result<Vec<String>> {
     };
     let host = url.host_str().context("the URL has no host: write http://127.0.0.1:8080/")?;
     let port = url.port_or_known_default().unwrap_or(80);
-    let unreachable = || format!("cannot connect to {url}: check that the gateway runs there");
     let address = host.trim_start_matches('[').trim_end_matches(']');
-    let stream = connect_to_host(address, port, CONNECTED_WITHIN).await.with_context(unreachable)?;
+    let stream = connect_to_host(address, port, CONNECTED_WITHIN).await;
+    let stream = stream.with_context(|| format!("cannot connect to {url}: check that the gateway runs there"))?;
     let mut request = Request::post("/api/v1/reload").header(HOST, format!("{host}:{port}"));
     request = request.header(CONTENT_TYPE, "application/json");
     if let Some(token) = &token {
@@ -125,13 +125,13 @@ fn url_of(config: Option<&Config>) -> anyhow::Result<Url> {
 /// Trusts the certificates in a file. The server's certificate must be valid for the first DNS name in the first of
 /// them, or for `host` if that one has no DNS name.
 fn trusting(path: &Path, host: &str) -> anyhow::Result<(ClientConfig, ServerName<'static>)> {
-    let wrong = || format!("{} has no certificate in PEM", path.display());
     let pem = fs::read(path).with_context(|| path.display().to_string())?;
     let pem = without_byte_order_mark(&pem);
-    let certificates = CertificateDer::pem_slice_iter(pem).collect::<Result<Vec<_>, _>>().with_context(wrong)?;
+    let certificates = CertificateDer::pem_slice_iter(pem).collect::<Result<Vec<_>, _>>();
+    let certificates = certificates.with_context(|| no_certificate(path))?;
     let mut roots = RootCertStore::empty();
     for certificate in &certificates {
-        roots.add(certificate.clone()).with_context(wrong)?;
+        roots.add(certificate.clone()).with_context(|| no_certificate(path))?;
     }
     let name = certificates.first().and_then(server_name).unwrap_or_else(|| host.to_owned());
     let config = ClientConfig::builder_with_provider(Arc::new(default_provider()))
@@ -139,6 +139,10 @@ fn trusting(path: &Path, host: &str) -> anyhow::Result<(ClientConfig, ServerName
         .with_root_certificates(roots)
         .with_no_client_auth();
     Ok((config, ServerName::try_from(name)?))
+}
+
+fn no_certificate(path: &Path) -> String {
+    format!("{} has no certificate in PEM", path.display())
 }
 
 async fn exchange<T: AsyncRead + AsyncWrite + Send + Unpin + 'static>(

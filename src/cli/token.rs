@@ -143,13 +143,16 @@ fn expiry(text: &str) -> anyhow::Result<Option<Timestamp>> {
     if text == "never" {
         return Ok(None);
     }
-    let wrong = || format!("--expires {text:?} is not a time: write 90d, 12h or never");
-    let span: Span = text.parse().with_context(wrong)?;
-    let end = Zoned::now().checked_add(span).with_context(wrong)?.timestamp();
+    let span: Span = text.parse().with_context(|| not_a_time(text))?;
+    let end = Zoned::now().checked_add(span).with_context(|| not_a_time(text))?.timestamp();
     if end <= Timestamp::now() {
         bail!("--expires {text:?} is in the past: write 90d, 12h or never");
     }
     Ok(Some(end))
+}
+
+fn not_a_time(text: &str) -> String {
+    format!("--expires {text:?} is not a time: write 90d, 12h or never")
 }
 
 fn line(token: &StoredToken) -> String {

@@ -104,49 +104,64 @@ impl AccessConfig {
 
 /// Validates the clients that are known by their addresses or certificates.
 fn clients(file: &File) -> Result<Vec<KnownClient>, ConfigError> {
-    let parse = |client: &ClientContent| {
-        let at = |value: &Spanned<String>| file.place(value.span().start);
-        let name =
-            |text: &Spanned<String>| text.get_ref().parse::<Name>().map_err(|error| ConfigError::at(&at(text), error));
-        let matched_by = match (&client.address, &client.certificate) {
-            (Some(address), None) => ClientMatch::Address(
-                parse_network(address.get_ref()).map_err(|detail| ConfigError::at(&at(address), detail))?,
-            ),
-            (None, Some(certificate)) if file.content.tls.as_ref().is_some_and(|tls| tls.client_ca.is_some()) => {
-                ClientMatch::Certificate(certificate.clone())
-            }
-            (None, Some(_)) => {
-                let detail =
-                    "a client's certificate needs client_ca in [tls]: the certificate of the authority that signed it";
-                return Err(ConfigError::at(&at(&client.name), detail));
-            }
-            _ => {
-                let detail = "a client is known by its address or by its certificate: write one of the two";
-                return Err(ConfigError::at(&at(&client.name), detail));
-            }
-        };
-        let grippers = client.grippers.as_ref().map(|grippers| grippers.iter().map(name).collect::<Result<_, _>>());
-        let scope = grippers.transpose()?.map_or(Scope::All, Scope::Only);
-        Ok(KnownClient { name: name(&client.name)?, matched_by, role: client.role, scope })
+    file.content.clients.iter().map(|client| known_client(file, client)).collect()
+}
+
+fn known_client(file: &File, client: &ClientContent) -> Result<KnownClient, ConfigError> {
+    let matched_by = match (&client.address, &client.certificate) {
+        (Some(address), None) => {
+            let network = parse_network(address.get_ref());
+            ClientMatch::Address(network.map_err(|detail| ConfigError::at(&place_of(file, address), detail))?)
+        }
+        (None, Some(certificate)) if file.content.tls.as_ref().is_some_and(|tls| tls.client_ca.is_some()) => {
+            ClientMatch::Certificate(certificate.clone())
+        }
+        (None, Some(_)) => {
+            let detail =
+                "a client's certificate needs client_ca in [tls]: the certificate of the authority that signed it";
+            return Err(ConfigError::at(&place_of(file, &client.name), detail));
+        }
+        _ => {
+            let detail = "a client is known by its address or by its certificate: write one of the two";
+            return Err(ConfigError::at(&place_of(file, &client.name), detail));
+        }
     };
-    file.content.clients.iter().map(parse).collect()
+    let scope = match &client.grippers {
+        Some(grippers) => Scope::Only(grippers.iter().map(|name| parse_name(file, name)).collect::<Result<_, _>>()?),
+        None => Scope::All,
+    };
+    Ok(KnownClient { name: parse_name(file, &client.name)?, matched_by, role: client.role, scope })
+}
+
+fn parse_name(file: &File, text: &Spanned<String>) -> Result<Name, ConfigError> {
+    text.get_ref().parse::<Name>().map_err(|error| ConfigError::at(&place_of(file, text), error))
+}
+
+fn place_of(file: &File, value: &Spanned<String>) -> ConfigPlace {
+    file.place(value.span().start)
 }
 
 pub(super) fn tls(file: &File) -> Option<TlsFiles> {
     let tls = file.content.tls.as_ref()?;
-    let beside = |path: &Spanned<PathBuf>| file.beside(path.get_ref());
-    let client_ca = tls.client_ca.as_ref().map(beside);
-    Some(TlsFiles { certificate: beside(&tls.certificate), key: beside(&tls.key), client_ca, pinned: tls.pinned })
+    Some(TlsFiles {
+        certificate: file.beside(tls.certificate.get_ref()),
+        key: file.beside(tls.key.get_ref()),
+        client_ca: tls.client_ca.as_ref().map(|path| file.beside(path.get_ref())),
+        pinned: tls.pinned,
+    })
 }
 
 pub(super) fn tls_places(file: &File) -> Vec<(PathBuf, &'static str, ConfigPlace)> {
     let Some(tls) = &file.content.tls else { return Vec::new() };
     let keys =
         [("certificate", Some(&tls.certificate)), ("key", Some(&tls.key)), ("client_ca", tls.client_ca.as_ref())];
-    let place = |(key, path): (_, Option<&Spanned<PathBuf>>)| {
-        path.map(|path| (file.beside(path.get_ref()), key, file.place(path.span().start)))
-    };
-    keys.into_iter().filter_map(place).collect()
+    let mut places = Vec::new();
+    for (key, path) in keys {
+        if let Some(path) = path {
+            places.push((file.beside(path.get_ref()), key, file.place(path.span().start)));
+        }
+    }
+    places
 }
 
 /// Returns the names in `[[clients]]` that no gripper has. A client can wait for its gripper, so these are not errors.

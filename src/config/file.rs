@@ -20,14 +20,14 @@ impl File {
     /// # Errors
     /// [`ConfigError`] if the file cannot be read or its content is invalid.
     pub fn read(path: &Path) -> Result<Self, ConfigError> {
-        let failed = |error: io::Error| {
+        let bytes = std::fs::read(path).map_err(|error| {
             let detail = match error.kind() {
                 io::ErrorKind::NotFound => "does not exist: check the path".to_owned(),
                 _ => format!("{error}: check that this is a text file that the gateway's user can read"),
             };
             ConfigError::at(&ConfigPlace::WholeFile(path.to_owned()), detail)
-        };
-        let text = String::from_utf8(std::fs::read(path).map_err(failed)?).map_err(|error| {
+        })?;
+        let text = String::from_utf8(bytes).map_err(|error| {
             let line = 1 + newlines(&error.as_bytes()[..error.utf8_error().valid_up_to()]);
             let detail = "this line has bytes that are not UTF-8: write its special characters again, and save the \
                           file as UTF-8";

@@ -179,12 +179,11 @@ impl Config {
         let no_file = File::default();
         let file = file.unwrap_or(&no_file);
         let content = &file.content;
-        let default = |text: &str| Placed { value: text.to_owned(), place: ConfigPlace::Default };
         let name = file.pick(flags.name.as_ref(), "--name", content.name.as_ref());
-        let name = name.unwrap_or_else(|| default(DEFAULT_NAME));
+        let name = name.unwrap_or_else(|| default_text(DEFAULT_NAME));
         let name: Name = name.value.parse().map_err(|error| ConfigError::at(&name.place, error))?;
         let listen = file.pick(flags.listen.as_ref(), "--listen", content.listen.as_ref());
-        let Placed { value, place } = listen.unwrap_or_else(|| default(DEFAULT_LISTEN));
+        let Placed { value, place } = listen.unwrap_or_else(|| default_text(DEFAULT_LISTEN));
         let listen = Placed { value: parse_address(&value, "127.0.0.1:8080 or [::1]:8080", &place)?, place };
         let insecure = flags.insecure || content.insecure;
         let access = AccessConfig::merge(flags, file, listen.value)?;
@@ -214,6 +213,10 @@ impl Config {
     }
 }
 
+fn default_text(text: &str) -> Placed<String> {
+    Placed { value: text.to_owned(), place: ConfigPlace::Default }
+}
+
 /// Parses an address to listen on.
 fn parse_address(text: &str, example: &str, place: &ConfigPlace) -> Result<SocketAddr, ConfigError> {
     text.parse()
@@ -221,15 +224,12 @@ fn parse_address(text: &str, example: &str, place: &ConfigPlace) -> Result<Socke
 }
 
 fn grippers(flags: &Flags, file: &File, insecure: bool) -> Result<Vec<GripperConfig>, ConfigError> {
-    let by_text = |texts: &[String], place: ConfigPlace| -> Result<Vec<GripperConfig>, ConfigError> {
-        texts.iter().map(|text| parse_gripper(text, &place)).collect()
-    };
     let mut configured = if !flags.grippers.is_empty() {
-        by_text(&flags.grippers, ConfigPlace::Flag("--gripper"))?
+        parse_grippers(&flags.grippers, &ConfigPlace::Flag("--gripper"))?
     } else if !file.content.grippers.is_empty() {
         file.grippers()?
     } else {
-        by_text(&DEFAULT_GRIPPERS.map(str::to_owned), ConfigPlace::Default)?
+        parse_grippers(&DEFAULT_GRIPPERS.map(str::to_owned), &ConfigPlace::Default)?
     };
     for gripper in &mut configured {
         gripper.rules.shared = file.content.shared.clone();
@@ -259,8 +259,11 @@ fn share_lines(grippers: &mut [GripperConfig]) {
     let devices: Vec<_> = grippers.iter().map(|gripper| gripper.device.clone()).collect();
     for gripper in grippers {
         let DeviceSource::At(address) = &gripper.device else { continue };
-        let shares = |device: &&DeviceSource| matches!(device, DeviceSource::At(one) if address.shares_line_with(one));
-        gripper.rules.updates.devices_on_line = devices.iter().filter(shares).count().max(1) as u32;
+        let on_line = devices.iter().filter(|device| match device {
+            DeviceSource::At(other) => address.shares_line_with(other),
+            DeviceSource::Simulated(_) => false,
+        });
+        gripper.rules.updates.devices_on_line = on_line.count().max(1) as u32;
     }
 }
 
@@ -277,6 +280,10 @@ fn conflict(one: &GripperConfig, other: &GripperConfig) -> Option<String> {
     };
     let why = address.conflict_with(other_address)?;
     Some(format!("{} and {} cannot both be served: {why}", one.name, other.name))
+}
+
+fn parse_grippers(texts: &[String], place: &ConfigPlace) -> Result<Vec<GripperConfig>, ConfigError> {
+    texts.iter().map(|text| parse_gripper(text, place)).collect()
 }
 
 fn parse_gripper(text: &str, place: &ConfigPlace) -> Result<GripperConfig, ConfigError> {

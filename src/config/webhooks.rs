@@ -40,13 +40,14 @@ pub(super) fn settings(file: &File) -> Result<Vec<WebhookSettings>, ConfigError>
     let mut all: Vec<WebhookSettings> = Vec::new();
     for webhook in &file.content.webhooks {
         let place = file.place(webhook.name.span().start);
-        let wrong = |detail: String| ConfigError::at(&place, detail);
         let name: Name = webhook.name.get_ref().parse().map_err(|error| ConfigError::at(&place, error))?;
         if all.iter().any(|other| other.name == name) {
-            return Err(wrong(format!("two webhooks are named {:?}: give each its own name", name.as_str())));
+            let detail = format!("two webhooks are named {:?}: give each its own name", name.as_str());
+            return Err(ConfigError::at(&place, detail));
         }
         if all.len() == MAX_WEBHOOKS {
-            return Err(wrong(format!("there are more than {MAX_WEBHOOKS} webhooks: let one receiver forward events")));
+            let detail = format!("there are more than {MAX_WEBHOOKS} webhooks: let one receiver forward events");
+            return Err(ConfigError::at(&place, detail));
         }
         if let Some(kinds) = webhook.kinds.as_ref().filter(|kinds| kinds.get_ref().is_empty()) {
             let detail = "kinds is empty: list kinds of events, or leave it out for all";
@@ -55,7 +56,10 @@ pub(super) fn settings(file: &File) -> Result<Vec<WebhookSettings>, ConfigError>
         let secret = match (&webhook.secret, &webhook.secret_file) {
             (Some(secret), None) => secret.get_ref().clone(),
             (None, Some(path)) => from_file(file, path, |text| String::from_utf8_lossy(text).parse::<SigningSecret>())?,
-            _ => return Err(wrong(format!("webhook {name} needs either secret or secret_file: give one of them"))),
+            _ => {
+                let detail = format!("webhook {name} needs either secret or secret_file: give one of them");
+                return Err(ConfigError::at(&place, detail));
+            }
         };
         let authorities = webhook.ca_file.as_ref().map(|path| from_file(file, path, Authorities::from_pem));
         all.push(WebhookSettings {
@@ -80,11 +84,11 @@ fn from_file<T, E: std::fmt::Display>(
     parse: impl FnOnce(&[u8]) -> Result<T, E>,
 ) -> Result<T, ConfigError> {
     let named = file.beside(path.get_ref());
-    let wrong = |error: &dyn std::fmt::Display| {
-        ConfigError::at(&file.place(path.span().start), format!("{}: {error}", named.display()))
-    };
-    let text = std::fs::read(&named).map_err(|error| wrong(&error))?;
-    parse(without_byte_order_mark(&text)).map_err(|error| wrong(&error))
+    let place = file.place(path.span().start);
+    let text = std::fs::read(&named);
+    let text = text.map_err(|error| ConfigError::at(&place, format!("{}: {error}", named.display())))?;
+    let parsed = parse(without_byte_order_mark(&text));
+    parsed.map_err(|error| ConfigError::at(&place, format!("{}: {error}", named.display())))
 }
 
 #[cfg(test)]

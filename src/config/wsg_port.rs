@@ -139,8 +139,8 @@ impl WsgPort {
     /// Whether both are the same, wherever they stand in the file.
     #[must_use]
     pub fn is_same(&self, other: &Self) -> bool {
-        let addresses = |port: &Self| port.addresses.iter().map(|(address, _)| *address).collect::<Vec<_>>();
-        addresses(self) == addresses(other) && self.rules == other.rules
+        let addresses = self.addresses.iter().map(|(address, _)| address);
+        addresses.eq(other.addresses.iter().map(|(address, _)| address)) && self.rules == other.rules
     }
 
     /// Checks that an address other than loopback comes with a list of allowed networks, with clients that are known by
@@ -194,22 +194,12 @@ fn parse_address(text: &str) -> Result<ListenAddress, String> {
     if let Ok(address) = text.parse() {
         return Ok(ListenAddress::Tcp(address));
     }
-    let wrong = || {
-        format!(
-            "{text:?} is not an address of a WSG port: write 127.0.0.1:1000, or for UDP \
-             udp://127.0.0.1:1500?reply_port=1501"
-        )
-    };
-    let url: Url = text.parse().map_err(|_| wrong())?;
-    let host = url.host_str().unwrap_or_default().trim_start_matches('[').trim_end_matches(']');
-    let address = |default| {
-        let ip = host.parse().map_err(|_| wrong())?;
-        Ok::<_, String>(SocketAddr::new(ip, url.port().unwrap_or(default)))
-    };
+    let url: Url = text.parse().map_err(|_| not_an_address(text))?;
     match url.scheme() {
         "tcp" => {
             Options::of(&url, &[])?;
-            Ok(ListenAddress::Tcp(address(DEFAULT_TCP_PORT)?))
+            let address = socket_address(&url, DEFAULT_TCP_PORT).ok_or_else(|| not_an_address(text))?;
+            Ok(ListenAddress::Tcp(address))
         }
         "udp" => {
             let options = Options::of(&url, &["reply_port", "lost_after_ms"])?;
@@ -219,8 +209,22 @@ fn parse_address(text: &str) -> Result<ListenAddress, String> {
             };
             let lost_after = options.number("lost_after_ms", LOST_AFTER_MS)?;
             let lost_after = lost_after.map_or(LOST_AFTER, |ms| Duration::from_millis(ms.into()));
-            Ok(ListenAddress::Udp(address(DEFAULT_UDP_PORT)?, Datagrams { reply_port, lost_after }))
+            let address = socket_address(&url, DEFAULT_UDP_PORT).ok_or_else(|| not_an_address(text))?;
+            Ok(ListenAddress::Udp(address, Datagrams { reply_port, lost_after }))
         }
-        _ => Err(wrong()),
+        _ => Err(not_an_address(text)),
     }
+}
+
+/// Returns the address in a URL, if its host is an IP address.
+fn socket_address(url: &Url, default_port: u16) -> Option<SocketAddr> {
+    let ip = url.host_str()?.trim_start_matches('[').trim_end_matches(']').parse().ok()?;
+    Some(SocketAddr::new(ip, url.port().unwrap_or(default_port)))
+}
+
+fn not_an_address(text: &str) -> String {
+    format!(
+        "{text:?} is not an address of a WSG port: write 127.0.0.1:1000, or for UDP \
+         udp://127.0.0.1:1500?reply_port=1501"
+    )
 }

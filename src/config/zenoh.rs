@@ -121,12 +121,8 @@ impl Zenoh {
         let content = file.content.zenoh.clone().unwrap_or_default();
         let flags = &flags.zenoh;
         let base = Base::read(file)?;
-        let given = |flag: &'static str, given: &[String], in_file: Option<&Spanned<Vec<String>>>| {
-            let given = file.pick((!given.is_empty()).then(|| given.to_vec()).as_ref(), flag, in_file)?;
-            Some((given.value, given.place))
-        };
-        let listen = given("--zenoh-listen", &flags.zenoh_listen, content.listen.as_ref());
-        let connect = given("--zenoh-connect", &flags.zenoh_connect, content.connect.as_ref());
+        let listen = pick(file, "--zenoh-listen", &flags.zenoh_listen, content.listen.as_ref());
+        let connect = pick(file, "--zenoh-connect", &flags.zenoh_connect, content.connect.as_ref());
         // Peers forward nothing between each other, so a gateway that connects to others is a router by default.
         let default = if connect.is_some() { WhatAmI::Router } else { WhatAmI::Peer };
         let mode = match flags.zenoh_mode.or(content.mode) {
@@ -135,12 +131,7 @@ impl Zenoh {
         };
         let Some(mode) = mode else { return Ok(None) };
         let mut settings = base.settings.clone();
-        let mut set = |key: &str, value: Value, place: &ConfigPlace| {
-            settings
-                .insert_json5(key, &value.to_string())
-                .map_err(|error| ConfigError::at(place, format!("{key}: {error}")))
-        };
-        set("mode", json!(mode.to_str()), &base.place)?;
+        set(&mut settings, "mode", &json!(mode.to_str()), &base.place)?;
         let default_listen = if mode == WhatAmI::Client { vec![] } else { vec![DEFAULT_LISTEN.to_owned()] };
         let listen = endpoints(listen, &base, "listen/endpoints", mode, default_listen)?;
         let connect = endpoints(connect, &base, "connect/endpoints", mode, Vec::new())?;
@@ -149,11 +140,11 @@ impl Zenoh {
                 "a Zenoh client needs a router or a peer: name it with --zenoh-connect, e.g. tcp/127.0.0.1:7447";
             return Err(ConfigError::at(&base.place, detail));
         }
-        set("listen/endpoints", json!(listen.0), &listen.1)?;
-        set("connect/endpoints", json!(connect.0), &connect.1)?;
+        set(&mut settings, "listen/endpoints", &json!(listen.0), &listen.1)?;
+        set(&mut settings, "connect/endpoints", &json!(connect.0), &connect.1)?;
         for (key, value) in defaults() {
             if base.leaves_out(key) {
-                set(key, value, &base.place)?;
+                set(&mut settings, key, &value, &base.place)?;
             }
         }
         let zenoh = Self { max_hz: content.max_hz, settings, listen: listen.0.clone(), connect: connect.0.clone() };
@@ -310,8 +301,25 @@ fn fast_stops_first() -> Value {
     })
 }
 
+fn set(settings: &mut zenoh::Config, key: &str, value: &Value, place: &ConfigPlace) -> Result<(), ConfigError> {
+    let result = settings.insert_json5(key, &value.to_string());
+    result.map_err(|error| ConfigError::at(place, format!("{key}: {error}")))
+}
+
 fn setting(settings: &zenoh::Config, key: &str) -> Value {
     settings.get_json(key).ok().and_then(|json| serde_json::from_str(&json).ok()).unwrap_or_default()
+}
+
+/// Returns the endpoints of a flag, or else of the file, with their place.
+fn pick(
+    file: &File,
+    flag: &'static str,
+    given: &[String],
+    in_file: Option<&Spanned<Vec<String>>>,
+) -> Option<(Vec<String>, ConfigPlace)> {
+    let given = (!given.is_empty()).then(|| given.to_vec());
+    let picked = file.pick(given.as_ref(), flag, in_file)?;
+    Some((picked.value, picked.place))
 }
 
 /// Returns the given endpoints, or those of Zenoh's own file, or else the default ones; and their place.
@@ -333,9 +341,7 @@ fn endpoints(
         }
     };
     for endpoint in &endpoints {
-        // Paths in its parameters can have spaces.
-        let has_spaces = |parsed: EndPoint| parsed.address().as_str().contains(char::is_whitespace);
-        if !has_protocol(endpoint, PROTOCOLS) || endpoint.parse().is_ok_and(has_spaces) {
+        if !has_protocol(endpoint, PROTOCOLS) || has_spaces(endpoint) {
             let detail =
                 format!("{endpoint:?} is not a Zenoh endpoint: write {DEFAULT_LISTEN} or quic/cell-7.example:7447");
             return Err(ConfigError::at(&place, detail));
@@ -345,6 +351,11 @@ fn endpoints(
         }
     }
     Ok((endpoints, place))
+}
+
+/// Whether an endpoint's address has spaces. Paths in its parameters can have some.
+fn has_spaces(endpoint: &str) -> bool {
+    endpoint.parse::<EndPoint>().is_ok_and(|parsed| parsed.address().as_str().contains(char::is_whitespace))
 }
 
 /// All strings in a value, at any depth.
@@ -370,8 +381,9 @@ fn has_protocol(endpoint: &str, protocols: &[&str]) -> bool {
 
 /// Whether links of this endpoint use `transport/link/tls`, and its own parameters do not switch mutual TLS off.
 fn keeps_mutual_tls(endpoint: &str) -> bool {
-    let own = |endpoint: EndPoint| endpoint.config().get("enable_mtls").is_none_or(|value| value == "true");
-    has_protocol(endpoint, &["quic", "tls"]) && endpoint.parse().is_ok_and(own)
+    let Ok(parsed) = endpoint.parse::<EndPoint>() else { return false };
+    let keeps_on = parsed.config().get("enable_mtls").is_none_or(|value| value == "true");
+    keeps_on && has_protocol(endpoint, &["quic", "tls"])
 }
 
 fn is_loopback(endpoint: &str) -> bool {

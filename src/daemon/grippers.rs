@@ -14,7 +14,7 @@ use crate::gripper::metrics::{Newest, Registration};
 use crate::gripper::recorder::RestoredState;
 use crate::gripper::{self, Connector, GripperMetrics, Grippers, Handle, Reconfiguration};
 use crate::journal::{Journal, Recovered};
-use crate::model::{GripperRules, Name, PersistedKey};
+use crate::model::{Name, PersistedKey};
 use crate::transport::DevicesInUse;
 
 /// The running grippers.
@@ -73,14 +73,16 @@ impl RunningGrippers {
 
     /// Compares two configurations, and prepares the devices of the new one.
     pub(super) fn compare(&self, before: &Config, after: &Config) -> Result<GripperDifferences, ConfigError> {
-        let find = |config: &Config, name: &Name| config.grippers.iter().find(|gripper| gripper.name == *name).cloned();
         let mut changes = GripperDifferences::default();
-        let is_gone = |gripper: &&GripperConfig| find(after, &gripper.name).is_none();
-        changes.removed = before.grippers.iter().filter(is_gone).map(|gripper| gripper.name.clone()).collect();
+        for gripper in &before.grippers {
+            if find(after, &gripper.name).is_none() {
+                changes.removed.push(gripper.name.clone());
+            }
+        }
         for gripper in &after.grippers {
             let name = gripper.name.clone();
             let old = find(before, &name);
-            if old.as_ref().is_none_or(|old| old.device != gripper.device) {
+            if old.is_none_or(|old| old.device != gripper.device) {
                 // Added grippers start after the others have left their devices.
                 if old.is_some() {
                     check_device(gripper, before, &changes.removed)?;
@@ -89,8 +91,8 @@ impl RunningGrippers {
             }
             match old {
                 None => changes.added.push(name),
-                Some(old) if !is_same(&old, gripper) => {
-                    if ends_ports(&old, gripper) {
+                Some(old) if !is_same(old, gripper) => {
+                    if ends_ports(old, gripper) {
                         changes.ending_ports.push(name.clone());
                     }
                     changes.changed.push(name);
@@ -168,12 +170,18 @@ impl RunningGrippers {
     }
 }
 
+fn find<'a>(config: &'a Config, name: &Name) -> Option<&'a GripperConfig> {
+    config.grippers.iter().find(|gripper| gripper.name == *name)
+}
+
 /// Checks that no other gripper that stays has a changed gripper's new device. Both would change at the same time, and
 /// be connected to one device.
 fn check_device(gripper: &GripperConfig, before: &Config, removed: &[Name]) -> Result<(), ConfigError> {
     let DeviceSource::At(address) = &gripper.device else { return Ok(()) };
-    let stays = |other: &&GripperConfig| other.name != gripper.name && !removed.contains(&other.name);
-    for other in before.grippers.iter().filter(stays) {
+    for other in &before.grippers {
+        if other.name == gripper.name || removed.contains(&other.name) {
+            continue;
+        }
         let DeviceSource::At(used) = &other.device else { continue };
         if address.conflict_with(used).is_some() {
             let name = &gripper.name;
@@ -197,11 +205,13 @@ fn is_same(before: &GripperConfig, after: &GripperConfig) -> bool {
 
 /// Whether what the clients of its WSG ports depend on differs: the device, and what a port copies for each client.
 fn ends_ports(before: &GripperConfig, after: &GripperConfig) -> bool {
-    let of_clients = |gripper: &GripperConfig| {
-        let GripperRules { updates, custom_ids, fast_stop_on_disconnect, .. } = gripper.rules.clone();
-        (gripper.device.clone(), updates, custom_ids.read, custom_ids.stream, fast_stop_on_disconnect)
-    };
-    of_clients(before) != of_clients(after)
+    let old = &before.rules;
+    let new = &after.rules;
+    before.device != after.device
+        || old.updates != new.updates
+        || old.custom_ids.read != new.custom_ids.read
+        || old.custom_ids.stream != new.custom_ids.stream
+        || old.fast_stop_on_disconnect != new.fast_stop_on_disconnect
 }
 
 fn actor_config(
@@ -223,19 +233,20 @@ fn actor_config(
 
 /// Returns the journal's knowledge of a gripper from earlier runs.
 fn restored(recovered: &Recovered, gripper: &GripperConfig) -> RestoredState {
-    let persisted = |key| {
-        let memory = recovered.memory.iter().find(|memory| memory.gripper == gripper.name && memory.key == key);
-        memory.and_then(|memory| memory.value.clone())
-    };
     let requests = recovered.requests.iter().filter(|request| request.command.gripper == gripper.name);
     RestoredState {
-        settings: persisted(PersistedKey::Settings),
-        latch: persisted(PersistedKey::Latch),
-        lease: persisted(PersistedKey::Lease),
-        holding: persisted(PersistedKey::Holding),
-        last_command: persisted(PersistedKey::LastCommand),
+        settings: persisted(recovered, &gripper.name, PersistedKey::Settings),
+        latch: persisted(recovered, &gripper.name, PersistedKey::Latch),
+        lease: persisted(recovered, &gripper.name, PersistedKey::Lease),
+        holding: persisted(recovered, &gripper.name, PersistedKey::Holding),
+        last_command: persisted(recovered, &gripper.name, PersistedKey::LastCommand),
         requests: requests.cloned().collect(),
         unclean: recovered.unclean,
         unknown_past: recovered.unknown_past.clone(),
     }
+}
+
+fn persisted(recovered: &Recovered, gripper: &Name, key: PersistedKey) -> Option<String> {
+    let memory = recovered.memory.iter().find(|memory| memory.gripper == *gripper && memory.key == key);
+    memory.and_then(|memory| memory.value.clone())
 }

@@ -69,6 +69,6 @@ impl Announcement {
 fn host() -> String {
     let system = rustix::system::uname();
     let name = system.nodename().to_str().ok().and_then(|name| name.split('.').next());
-    let is_usable = |name: &&str| (1..=MAX_LABEL_BYTES).contains(&name.len()) && *name != "localhost";
-    format!("{}.local.", name.filter(is_usable).unwrap_or(DEFAULT_HOST))
+    let usable = name.filter(|name| (1..=MAX_LABEL_BYTES).contains(&name.len()) && *name != "localhost");
+    format!("{}.local.", usable.unwrap_or(DEFAULT_HOST))
 }

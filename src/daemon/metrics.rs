@@ -1,7 +1,7 @@
 //! The registry of all metrics, and the metrics of the gateway itself.
 
 use std::ffi::OsString;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 use prometheus::core::{Collector, Desc};
@@ -65,12 +65,15 @@ impl Collector for JournalSize {
     fn collect(&self) -> Vec<MetricFamily> {
         let mut log = OsString::from(&self.path);
         log.push("-wal");
-        // The write-ahead log need not exist.
-        let size = |path: &OsString| std::fs::metadata(path).map_or(0, |file| file.len());
-        let bytes = size(&OsString::from(&self.path)) + size(&log);
+        let bytes = file_bytes(&self.path) + file_bytes(Path::new(&log));
         self.bytes.set(i64::try_from(bytes).unwrap_or(i64::MAX));
         self.bytes.collect()
     }
+}
+
+/// Returns 0 for a missing file: the write-ahead log need not exist.
+fn file_bytes(path: &Path) -> u64 {
+    std::fs::metadata(path).map_or(0, |file| file.len())
 }
 
 /// Health of the journal, read at each scrape.

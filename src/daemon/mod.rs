@@ -290,9 +290,10 @@ async fn start(
     let server = clients.accept.spawn(http::serve(listeners, context.clone(), limits, shutdown.clone()));
     let modbus_address = modbus.as_ref().map(BoundModbus::address).transpose()?;
     announce::announce(&config, address, &ports, modbus_address)?;
-    let tokens = (draining.clone(), shutdown.clone());
-    let serve = |(modbus, runtime): (BoundModbus, &Handle)| modbus.serve(&config, &context, runtime, tokens);
-    let modbus = modbus.zip(runtimes.modbus()).map(serve).transpose()?.flatten();
+    let modbus = match modbus.zip(runtimes.modbus()) {
+        Some((modbus, runtime)) => modbus.serve(&config, &context, runtime, (draining.clone(), shutdown.clone()))?,
+        None => None,
+    };
     // Zenoh has a task of its own, so the rest continues whatever happens to Zenoh.
     let zenoh =
         on_zenoh.map(|(settings, context)| tokio::spawn(zenoh::serve(settings, context, announce::announce_zenoh)));
@@ -391,12 +392,13 @@ fn log_unclean_end(recovered: &Recovered) {
 /// not prevent the start.
 async fn record_start(config: &Config, journal: &Journal) {
     let (written, is_written) = oneshot::channel();
-    let record = |event, waiter| {
-        journal.record(Record::Event(Event::new(Now::read().wall, None, Detail::Gateway(event)), waiter));
-    };
-    record(started(config), None);
-    record(configured(config), Some(written));
+    record(journal, started(config), None);
+    record(journal, configured(config), Some(written));
     let _ = timeout(START_WRITTEN_WITHIN, is_written).await;
+}
+
+fn record(journal: &Journal, event: GatewayEvent, waiter: Option<oneshot::Sender<()>>) {
+    journal.record(Record::Event(Event::new(Now::read().wall, None, Detail::Gateway(event)), waiter));
 }
 
 fn started(config: &Config) -> GatewayEvent {

@@ -141,11 +141,14 @@ impl Ports {
     /// Ends the ports that the new configuration does not have, or has with other rules. Their clients lose their
     /// connections; ports of these grippers end too. A client that is moving a gripper counts as lost.
     pub(super) async fn end_changed(&mut self, changes: &PortChanges, grippers: &[Name]) -> Vec<BoundPort> {
-        let is_kept = |port: &ServedPort| {
-            changes.configured.contains(&port.configured) && !grippers.contains(&port.configured.gripper)
-        };
-        let (kept, ended): (Vec<_>, Vec<_>) = std::mem::take(&mut self.served).into_iter().partition(is_kept);
-        self.served = kept;
+        let mut ended = Vec::new();
+        for port in std::mem::take(&mut self.served) {
+            if changes.configured.contains(&port.configured) && !grippers.contains(&port.configured.gripper) {
+                self.served.push(port);
+            } else {
+                ended.push(port);
+            }
+        }
         let mut free = Vec::new();
         for ServedPort { configured, descriptors, draining, closing, task } in ended {
             // `closing` comes first, so that the port returns its socket.

@@ -1,5 +1,7 @@
 //! Reading the configuration again while the gateway runs: all of it is prepared before any of it is applied.
 
+use std::collections::BTreeMap;
+use std::net::SocketAddr;
 use std::sync::Arc;
 
 use tokio::net::TcpListener;
@@ -15,7 +17,9 @@ use super::modbus::ServedModbus;
 use super::ports::{PortChanges, Ports};
 use super::{listen, settings, systemd};
 use crate::access::{Access, AccessRules};
-use crate::config::{AccessConfig, Config, ConfigError, ConfigPlace, Flags, GripperConfig, JournalConfig, Modbus};
+use crate::config::{
+    AccessConfig, Config, ConfigError, ConfigPlace, Flags, GripperConfig, JournalConfig, Modbus, ModbusRules,
+};
 use crate::gripper::Now;
 use crate::gripper::recorder::{Record, Recorder as _};
 use crate::interfaces::http::{self, HttpSettings, SharedSettings};
@@ -185,9 +189,8 @@ impl Reloader {
         if let Some(modbus) = &mut self.modbus {
             modbus.reconfigure(&config, &self.access);
         }
-        let announced = |config: &Config| (config.web.mdns, config.listen);
         let is_missing = config.web.mdns && self.announcement.is_none();
-        if is_missing || announced(&config) != announced(&self.config) {
+        if is_missing || config.web.mdns != self.config.web.mdns || config.listen != self.config.listen {
             if let Some(before) = self.announcement.take() {
                 before.withdraw().await;
             }
@@ -220,17 +223,12 @@ fn differences(before: &Config, after: &Config) -> Vec<(&'static str, Applied)> 
         warnings: _,
     } = before;
     let JournalConfig { place, max_age, max_bytes } = journal;
-    let is_guarded = |access: &AccessConfig| *access != AccessConfig::Open;
-    let has_defaults = |grippers: &[GripperConfig]| grippers.iter().any(|one| one.place == ConfigPlace::Default);
-    let modbus_address = |modbus: &Option<Modbus>| modbus.as_ref().map(|modbus| modbus.address);
-    let modbus_rules =
-        |config: &Config| config.modbus.as_ref().map(|modbus| (modbus.rules.clone(), config.modbus_units()));
     let differs = [
         ("name", *name != after.name, Restart),
         ("journal", *place != after.journal.place, Restart),
         ("journal_max_age_days", *max_age != after.journal.max_age, Restart),
         ("journal_max_size_mb", *max_bytes != after.journal.max_bytes, Restart),
-        ("modbus", modbus_address(modbus) != modbus_address(&after.modbus), Restart),
+        ("modbus", modbus_address(modbus.as_ref()) != modbus_address(after.modbus.as_ref()), Restart),
         ("[zenoh]", *zenoh != after.zenoh, Restart),
         // Open connections began under the other rule.
         ("[access], or whether clients need credentials,", is_guarded(access) != is_guarded(&after.access), Restart),
@@ -251,28 +249,44 @@ fn differences(before: &Config, after: &Config) -> Vec<(&'static str, Applied)> 
     differs.chain(web.differences(&after.web)).collect()
 }
 
+fn modbus_address(modbus: Option<&Modbus>) -> Option<SocketAddr> {
+    modbus.map(|modbus| modbus.address)
+}
+
+fn modbus_rules(config: &Config) -> Option<(&ModbusRules, BTreeMap<u8, Name>)> {
+    config.modbus.as_ref().map(|modbus| (&modbus.rules, config.modbus_units()))
+}
+
+fn is_guarded(access: &AccessConfig) -> bool {
+    *access != AccessConfig::Open
+}
+
+fn has_defaults(grippers: &[GripperConfig]) -> bool {
+    grippers.iter().any(|gripper| gripper.place == ConfigPlace::Default)
+}
+
 fn with(applied: Applied, differences: &[(&'static str, Applied)]) -> Vec<&'static str> {
     differences.iter().filter(|(_, by)| *by == applied).map(|(key, _)| *key).collect()
 }
 
 /// Describes the changes in words.
 fn describe(before: &Config, after: &Config, keys: &[&str], grippers: &GripperDifferences) -> Vec<String> {
-    let of_grippers = |names: &[Name], change: &'static str| {
-        names.iter().map(move |name| format!("gripper {name}: {change}")).collect::<Vec<_>>()
-    };
     let mut changes = of_grippers(&grippers.removed, "removed");
     changes.extend(of_grippers(&grippers.added, "added"));
     changes.extend(of_grippers(&grippers.changed, "changed"));
-    let has_other_ports = |gripper: &&GripperConfig| {
+    for gripper in &after.grippers {
         let old = before.grippers.iter().find(|old| old.name == gripper.name);
-        old.is_some_and(|old| !old.wsg_port.is_same(&gripper.wsg_port))
-    };
-    let with_other_ports: Vec<_> =
-        after.grippers.iter().filter(has_other_ports).map(|gripper| gripper.name.clone()).collect();
-    changes.extend(of_grippers(&with_other_ports, "WSG port changed"));
+        if old.is_some_and(|old| !old.wsg_port.is_same(&gripper.wsg_port)) {
+            changes.push(format!("gripper {}: WSG port changed", gripper.name));
+        }
+    }
     changes.extend(webhook_differences(&before.webhooks, &after.webhooks));
     changes.extend(keys.iter().map(|key| format!("{key}: changed")));
     changes
+}
+
+fn of_grippers(names: &[Name], change: &str) -> Vec<String> {
+    names.iter().map(|name| format!("gripper {name}: {change}")).collect()
 }
 
 fn find_webhook<'a>(webhooks: &'a [WebhookSettings], name: &Name) -> Option<&'a WebhookSettings> {

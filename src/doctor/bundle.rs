@@ -69,11 +69,11 @@ fn add(archive: &mut Builder<impl std::io::Write>, name: &str, text: &str) -> st
 
 /// Describes the machine.
 fn system() -> String {
-    let read = |path: &str| fs::read_to_string(path).unwrap_or_default();
     let commands: [(&str, &[&str]); 4] =
         [("uname", &["-a"]), ("ip", &["-details", "address"]), ("df", &["-h"]), ("timedatectl", &[])];
     let outputs = commands.map(|(program, arguments)| format!("# {program}\n{}\n", output(program, arguments)));
-    let files = ["/etc/os-release", "/proc/uptime", "/proc/meminfo"].map(|path| format!("# {path}\n{}\n", read(path)));
+    let files = ["/etc/os-release", "/proc/uptime", "/proc/meminfo"];
+    let files = files.map(|path| format!("# {path}\n{}\n", fs::read_to_string(path).unwrap_or_default()));
     [outputs.concat(), files.concat()].concat()
 }
 

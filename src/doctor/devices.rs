@@ -34,24 +34,28 @@ async fn check_one(running: &GatewayState, gripper: &GripperConfig) -> Diagnosis
         DeviceSource::Simulated(_) => return Diagnosis::good(CHECK, format_args!("{} is simulated", gripper.name)),
         DeviceSource::At(address) => (&gripper.name, address),
     };
-    let of_interface = || match address {
-        Address::Serial(address) => serial::check(address),
-        Address::Can(address) => can::check(address),
-        Address::Tcp(_) | Address::Udp(_) => None,
-    };
     match running {
         GatewayState::Answers { grippers } => {
             let served = of_running(name, address, grippers);
             let is_good = served.severity == Severity::Good;
-            if is_good { served } else { of_interface().unwrap_or(served) }
+            if is_good { served } else { check_interface(address).unwrap_or(served) }
         }
-        GatewayState::Silent | GatewayState::Uncertain => of_interface().unwrap_or_else(|| {
+        GatewayState::Silent | GatewayState::Uncertain => check_interface(address).unwrap_or_else(|| {
             Diagnosis::good(CHECK, format_args!("{name} not contacted, because a running gateway may use it"))
         }),
-        GatewayState::No | GatewayState::Other { .. } => match of_interface() {
+        GatewayState::No | GatewayState::Other { .. } => match check_interface(address) {
             Some(finding) => finding,
             None => contact(name, address).await,
         },
+    }
+}
+
+/// Returns a problem of the host's interface to the device.
+fn check_interface(address: &Address) -> Option<Diagnosis> {
+    match address {
+        Address::Serial(address) => serial::check(address),
+        Address::Can(address) => can::check(address),
+        Address::Tcp(_) | Address::Udp(_) => None,
     }
 }
 
@@ -142,10 +146,6 @@ async fn instead(address: &Address) -> Option<String> {
 }
 
 fn alternatives(address: &Address) -> Vec<Address> {
-    let distinct = |mut ports: Vec<u16>| {
-        ports.dedup();
-        ports
-    };
     match address {
         Address::Tcp(TcpAddress { host, port }) => distinct(vec![*port, UDP_PORT])
             .into_iter()
@@ -162,4 +162,9 @@ fn alternatives(address: &Address) -> Vec<Address> {
             .collect(),
         Address::Can(_) => vec![],
     }
+}
+
+fn distinct(mut ports: Vec<u16>) -> Vec<u16> {
+    ports.dedup();
+    ports
 }

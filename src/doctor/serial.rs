@@ -34,17 +34,16 @@ impl Account {
 
     /// The service's user, if it exists.
     pub(super) fn of_service() -> Option<Self> {
-        let read = |path| fs::read_to_string(path).unwrap_or_default();
-        Self::named(SERVICE_USER, &read("/etc/passwd"), &read("/etc/group"))
+        let users = fs::read_to_string("/etc/passwd").unwrap_or_default();
+        let groups = fs::read_to_string("/etc/group").unwrap_or_default();
+        Self::named(SERVICE_USER, &users, &groups)
     }
 
     /// Looks a user up in the texts of passwd(5) and group(5).
     fn named(name: &str, users: &str, groups: &str) -> Option<Self> {
-        let fields = |line: &str| line.split(':').map(str::to_owned).collect::<Vec<_>>();
         let user = users.lines().map(fields).find(|user| user[0] == name)?;
-        let is_member = |group: &&Vec<String>| group.get(3).is_some_and(|all| all.split(',').any(|one| one == name));
-        let listed: Vec<_> = groups.lines().map(fields).collect();
-        let others = listed.iter().filter(is_member).filter_map(|group| group.get(2)?.parse().ok());
+        let others = groups.lines().map(fields).filter(|group| has_member(group, name));
+        let others = others.filter_map(|group| group.get(2)?.parse().ok());
         let main = user.get(3)?.parse().ok()?;
         Some(Self { name: name.to_owned(), id: user.get(2)?.parse().ok()?, groups: others.chain([main]).collect() })
     }
@@ -60,6 +59,15 @@ impl Account {
         };
         self.id == 0 || bits & 0o6 == 0o6
     }
+}
+
+fn fields(line: &str) -> Vec<&str> {
+    line.split(':').collect()
+}
+
+/// Whether a line of group(5) lists the user.
+fn has_member(group: &[&str], user: &str) -> bool {
+    group.get(3).is_some_and(|members| members.split(',').any(|member| member == user))
 }
 
 /// Returns a problem if the gateway's user cannot open the port. A missing port is found when it is opened.

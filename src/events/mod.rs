@@ -154,11 +154,12 @@ impl LiveUpdates {
     /// Returns the updates of the current grippers.
     fn sources(&self) -> Vec<Arc<Source>> {
         let mut sources = self.sources.lock().unwrap_or_else(PoisonError::into_inner);
-        let source = |handle: Handle| {
-            let known = sources.iter().find(|source| source.handle.is_same(&handle));
-            known.cloned().unwrap_or_else(|| Arc::new(Source::new(handle)))
-        };
-        *sources = self.grippers.all().into_iter().map(source).collect();
+        let mut current = Vec::new();
+        for handle in self.grippers.all() {
+            let known = sources.iter().find(|source| source.handle.is_same(&handle)).cloned();
+            current.push(known.unwrap_or_else(|| Arc::new(Source::new(handle))));
+        }
+        *sources = current;
         sources.clone()
     }
 
@@ -257,13 +258,15 @@ impl Subscription {
     /// Returns the current states, which count as sent.
     pub fn snapshot(&mut self) -> Vec<Arc<State>> {
         let now = Now::read().instant;
-        let look = |watched: &mut Watched| {
+        let mut states = Vec::new();
+        for watched in &mut self.watched {
             watched.states.mark_unchanged();
             let state = watched.source.handle.state();
-            (watched.seq, watched.sent_at) = (state.seq, Some(now));
-            state
-        };
-        self.watched.iter_mut().map(look).collect()
+            watched.seq = state.seq;
+            watched.sent_at = Some(now);
+            states.push(state);
+        }
+        states
     }
 
     /// Returns the states, telemetry, fleet grippers and alarms that have changed since they were sent, and the number of
@@ -273,6 +276,8 @@ impl Subscription {
         let mut updates = Vec::new();
         let mut dropped = 0;
         let now = Now::read().instant;
+        let has_state = self.topics.contains(&Topic::State);
+        let has_telemetry = self.topics.contains(&Topic::Telemetry);
         for Watched { source, states, seq, sent_at } in &mut self.watched {
             let is_changed = states.has_changed().unwrap_or_default();
             if !is_changed && sent_at.is_some_and(|at| now < at + HEARTBEAT) {
@@ -281,17 +286,16 @@ impl Subscription {
             *sent_at = Some(now);
             states.mark_unchanged();
             let state = source.handle.state();
-            let has = |topic| self.topics.contains(&topic);
             let new = if is_changed {
                 [
-                    has(Topic::State).then(|| source.state(&state)).flatten(),
-                    has(Topic::Telemetry).then(|| source.telemetry(&state)).flatten(),
+                    has_state.then(|| source.state(&state)).flatten(),
+                    has_telemetry.then(|| source.telemetry(&state)).flatten(),
                 ]
             } else {
                 // The age grows without an update, so a heartbeat is not shared.
                 [
-                    has(Topic::State).then(|| Notification::new("state", &*state)).flatten(),
-                    has(Topic::Telemetry).then(|| Notification::telemetry(&state)).flatten(),
+                    has_state.then(|| Notification::new("state", &*state)).flatten(),
+                    has_telemetry.then(|| Notification::telemetry(&state)).flatten(),
                 ]
             };
             let missed = state.seq.saturating_sub(*seq + 1).min(missed_ticks);
@@ -326,10 +330,9 @@ impl Subscription {
             // Events that were sent since the successor was made are not sent again.
             first.set(position.get().max(first.get()));
         }
-        let is_due_event = |position: &EventPosition, first: &EventPosition| position.get() <= first.get();
         while let Some(Some(update)) = unconstrained(self.queued.next()).now_or_never() {
             let is_due = match update.method() {
-                "event" => events.as_ref().is_some_and(|(position, first)| is_due_event(position, first)),
+                "event" => events.as_ref().is_some_and(|(position, first)| position.get() <= first.get()),
                 "grip" => successor.topics.contains(&Topic::Grips),
                 method => method == "gap",
             };
@@ -347,8 +350,8 @@ impl Subscription {
 
     /// Whether all grippers of another subscription belong to this one.
     fn covers(&self, other: &Self) -> bool {
-        let is_subset = |only: &BTreeSet<Name>| other.only.as_ref().is_some_and(|others| others.is_subset(only));
-        self.only.as_ref().is_none_or(is_subset)
+        let Some(only) = &self.only else { return true };
+        other.only.as_ref().is_some_and(|others| others.is_subset(only))
     }
 
     /// Returns the next event, frame or gap. Cancel-safe.

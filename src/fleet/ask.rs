@@ -216,18 +216,19 @@ impl Peers {
         // The send can block, so it gets a thread on which nothing else waits.
         let filter = ReplyFilter::new(&self.reply_room);
         let (waiting, mut replies) = mpsc::channel(MAX_WAITING);
-        let take = move |reply| {
-            // Zenoh's own thread must not wait. Beyond the room for them, replies are dropped.
-            if let Some(reply) = filter.take(reply) {
-                let _ = waiting.try_send(reply);
-            }
-        };
         let sent = tokio::task::spawn_blocking(move || {
             let get = session.get(selector).payload(payload).timeout(within);
             let get = get.encoding(Encoding::APPLICATION_JSON).allowed_destination(Locality::Remote);
             // Without consolidation, a stranger's reply cannot replace another one with the same key.
             let get = get.target(QueryTarget::All).consolidation(ConsolidationMode::None);
-            get.express(urgency == Urgency::FastStop).priority(priority(urgency)).callback(take).wait()
+            let get = get.express(urgency == Urgency::FastStop).priority(priority(urgency));
+            let get = get.callback(move |reply| {
+                // Zenoh's own thread must not wait. Beyond the room for them, replies are dropped.
+                if let Some(reply) = filter.take(reply) {
+                    let _ = waiting.try_send(reply);
+                }
+            });
+            get.wait()
         });
         sent.await.ok().and_then(Result::ok).ok_or(NoAnswer::None)?;
         let mut proofs = FuturesUnordered::new();
@@ -318,18 +319,22 @@ fn parse_reply(reply: &Reply) -> Option<PeerResponse> {
     struct Status {
         status: u16,
     }
-    let is_bounded = |payload: &&ZBytes| payload.len() <= MAX_REPLY_BYTES;
-    let json = |payload: &ZBytes| {
-        Some(payload).filter(is_bounded).and_then(|payload| serde_json::from_slice(&payload.to_bytes()).ok())
-    };
     match reply.result() {
-        Ok(sample) => Some(Ok(json(sample.payload())?)),
+        Ok(sample) => Some(Ok(bounded_json(sample.payload())?)),
         Err(error) => {
-            let problem: Box<RawValue> = json(error.payload())?;
+            let problem = bounded_json(error.payload())?;
             let Status { status } = serde_json::from_str(problem.get()).ok()?;
             Some(Err((status, problem)))
         }
     }
+}
+
+/// Returns the JSON in a payload, unless it is too large.
+fn bounded_json(payload: &ZBytes) -> Option<Box<RawValue>> {
+    if payload.len() > MAX_REPLY_BYTES {
+        return None;
+    }
+    serde_json::from_slice(&payload.to_bytes()).ok()
 }
 
 #[cfg(test)]

@@ -130,31 +130,7 @@ impl Peers {
     /// # Errors
     /// Zenoh's error.
     pub async fn join(self: &Arc<Self>, session: &zenoh::Session) -> zenoh::Result<Vec<LivelinessToken>> {
-        let network = self.clone();
-        let on_state = move |state: Sample| network.take_state(state.key_expr().as_str(), &state.payload().to_bytes());
-        let states = session.declare_subscriber(format!("{ROOT}/*/*/state")).allowed_origin(Locality::Remote);
-        states.callback(on_state).background().await?;
-        let network = self.clone();
-        let lives = move |token: Sample| network.take_token(token.key_expr().as_str(), token.kind() == SampleKind::Put);
-        let gateways = session.liveliness().declare_subscriber(format!("{ROOT}/*/alive")).history(true);
-        gateways.callback(lives).background().await?;
-        let network = self.clone();
-        let own = session.zid().to_string();
-        let is_one = move |token: Sample| {
-            let key = token.key_expr().as_str();
-            let is_alive = token.kind() == SampleKind::Put;
-            if last_part(key) != own {
-                network.take_instance(key, is_alive);
-            }
-        };
-        let instances = session.liveliness().declare_subscriber(format!("{ROOT}/*/instance/*")).history(true);
-        instances.callback(is_one).background().await?;
-        let network = self.clone();
-        let is_shown = move |token: Sample| {
-            network.take_dashboard(token.key_expr().as_str(), token.kind() == SampleKind::Put);
-        };
-        let dashboards = session.liveliness().declare_subscriber(format!("{ROOT}/*/dashboard/*")).history(true);
-        dashboards.callback(is_shown).background().await?;
+        self.follow_others(session).await?;
         let keys = ZenohKeys::of(&self.gateway);
         Twins::answer(session, &keys).await?;
         let instance = keys.own(&format!("instance/{}", session.zid()));
@@ -169,6 +145,39 @@ impl Peers {
         // A gateway that has joined before keeps its session.
         let _ = self.session.set(session.clone());
         Ok(tokens)
+    }
+
+    /// Subscribes to the states of all grippers, and to the presence and the dashboards of all gateways.
+    async fn follow_others(self: &Arc<Self>, session: &zenoh::Session) -> zenoh::Result<()> {
+        let network = self.clone();
+        let states = session.declare_subscriber(format!("{ROOT}/*/*/state")).allowed_origin(Locality::Remote);
+        let states = states.callback(move |state: Sample| {
+            network.take_state(state.key_expr().as_str(), &state.payload().to_bytes());
+        });
+        states.background().await?;
+        let network = self.clone();
+        let gateways = session.liveliness().declare_subscriber(format!("{ROOT}/*/alive")).history(true);
+        let gateways = gateways.callback(move |token: Sample| {
+            network.take_token(token.key_expr().as_str(), token.kind() == SampleKind::Put);
+        });
+        gateways.background().await?;
+        let network = self.clone();
+        let own = session.zid().to_string();
+        let instances = session.liveliness().declare_subscriber(format!("{ROOT}/*/instance/*")).history(true);
+        let instances = instances.callback(move |token: Sample| {
+            let key = token.key_expr().as_str();
+            let is_alive = token.kind() == SampleKind::Put;
+            if last_part(key) != own {
+                network.take_instance(key, is_alive);
+            }
+        });
+        instances.background().await?;
+        let network = self.clone();
+        let dashboards = session.liveliness().declare_subscriber(format!("{ROOT}/*/dashboard/*")).history(true);
+        let dashboards = dashboards.callback(move |token: Sample| {
+            network.take_dashboard(token.key_expr().as_str(), token.kind() == SampleKind::Put);
+        });
+        dashboards.background().await
     }
 
     /// Looks for other gateways with this one's name, for as long as it is polled.
@@ -243,8 +252,11 @@ impl Peers {
                 before.abort();
             }
         }
-        let confirmed = |((gateway, gripper), stop)| (format!("{gateway}/{gripper}"), stop == PeerStop::Confirmed);
-        FleetStop { id, stops: own.chain(others.into_iter().map(confirmed)).collect(), is_complete }
+        let others = others.into_iter().map(|((gateway, gripper), stop)| {
+            let is_confirmed = stop == PeerStop::Confirmed;
+            (format!("{gateway}/{gripper}"), is_confirmed)
+        });
+        FleetStop { id, stops: own.chain(others).collect(), is_complete }
     }
 
     /// Whether all gateways of the network can be reached and have reported their grippers, as far as known.
@@ -286,8 +298,9 @@ impl Peers {
                 if open.is_empty() && was_complete {
                     return;
                 }
-                let is_missed = |name: &&(Name, Name)| stops.get(name) == Some(&PeerStop::Unknown { is_missed: true });
-                let gateways: BTreeSet<_> = open.iter().filter(is_missed).map(|(gateway, _)| gateway).collect();
+                let missed =
+                    open.iter().filter(|name| stops.get(*name) == Some(&PeerStop::Unknown { is_missed: true }));
+                let gateways: BTreeSet<_> = missed.map(|(gateway, _)| gateway).collect();
                 for gateway in gateways {
                     tracing::warn!(%gateway, "gateway missed a FAST STOP: sending it again");
                     self.put_fast_stop(ZenohKeys::of(gateway).own("fast-stop"), payload.clone());

@@ -106,9 +106,9 @@ impl Others {
 
     /// Counts the known grippers of the gateway in `name`, which are adjacent in the map.
     fn count_of(&self, name: &(Name, Name)) -> usize {
-        let is_same = |known: &(&(Name, Name), &KnownGripper)| known.0.0 == name.0;
-        let before = self.grippers.range(..name).rev().take_while(is_same).count();
-        before + self.grippers.range(name..).take_while(is_same).count()
+        let gateway = &name.0;
+        let before = self.grippers.range(..name).rev().take_while(|(other, _)| other.0 == *gateway).count();
+        before + self.grippers.range(name..).take_while(|(other, _)| other.0 == *gateway).count()
     }
 
     /// Notes the state of a known gripper that this session sent in reply to a query of `asked_at`.
@@ -184,13 +184,16 @@ impl Others {
     }
 
     pub(super) fn grippers(&self, now: Instant) -> Vec<FleetGripper> {
-        let listed = |((gateway, gripper), known): (&(Name, Name), &KnownGripper)| {
+        let mut grippers = Vec::new();
+        for ((gateway, gripper), known) in &self.grippers {
             let since = now.saturating_duration_since(known.at);
-            let gone = self.is_gone(gateway, known, now);
-            let dashboard = self.dashboards.get(gateway);
-            (since < KEPT_FOR).then(|| known.report.of_gripper(gateway, gripper, since, gone).shown_at(dashboard))
-        };
-        self.grippers.iter().filter_map(listed).collect()
+            if since < KEPT_FOR {
+                let gone = self.is_gone(gateway, known, now);
+                let dashboard = self.dashboards.get(gateway);
+                grippers.push(known.report.of_gripper(gateway, gripper, since, gone).shown_at(dashboard));
+            }
+        }
+        grippers
     }
 
     /// Known gateways, and whether each is gone.
@@ -216,17 +219,17 @@ impl Others {
     pub(super) fn stops_since(&self, begun: Instant) -> BTreeMap<(Name, Name), PeerStop> {
         let now = Now::read().instant;
         let known = self.grippers.iter().filter(|(_, known)| now.saturating_duration_since(known.at) < KEPT_FOR);
-        let stop = |(name, known): (&(Name, Name), &KnownGripper)| {
-            let stop = match known.answer.filter(|answer| answer.asked_at >= begun) {
-                Some(answer) if answer.is_owners && answer.is_stopped => PeerStop::Confirmed,
-                Some(answer) if answer.is_owners && answer.is_latched => PeerStop::Latched,
-                Some(answer) if !answer.is_latched => PeerStop::Unknown { is_missed: true },
-                _ if self.is_gone(&name.0, known, now) => PeerStop::Gone,
-                _ => PeerStop::Unknown { is_missed: false },
-            };
-            (name.clone(), stop)
-        };
-        known.map(stop).collect()
+        known.map(|(name, known)| (name.clone(), self.stop_since(begun, &name.0, known, now))).collect()
+    }
+
+    fn stop_since(&self, begun: Instant, gateway: &Name, known: &KnownGripper, now: Instant) -> PeerStop {
+        match known.answer.filter(|answer| answer.asked_at >= begun) {
+            Some(answer) if answer.is_owners && answer.is_stopped => PeerStop::Confirmed,
+            Some(answer) if answer.is_owners && answer.is_latched => PeerStop::Latched,
+            Some(answer) if !answer.is_latched => PeerStop::Unknown { is_missed: true },
+            _ if self.is_gone(gateway, known, now) => PeerStop::Gone,
+            _ => PeerStop::Unknown { is_missed: false },
+        }
     }
 
     fn is_gone(&self, gateway: &Name, known: &KnownGripper, now: Instant) -> bool {

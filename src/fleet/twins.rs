@@ -55,7 +55,7 @@ impl Twins {
         let answered = key.clone();
         let runtime = Handle::current();
         let places = Arc::new(Semaphore::new(MAX_TWINS));
-        let answer = move |query: Query| {
+        let instance = session.declare_queryable(key).callback(move |query: Query| {
             let Ok(place) = places.clone().try_acquire_owned() else { return };
             let key = answered.clone();
             // A reply can wait for a client that takes none, so it gets a thread on which nothing else waits.
@@ -65,8 +65,8 @@ impl Twins {
                 }
                 drop((query, place));
             });
-        };
-        session.declare_queryable(key).callback(answer).background().await
+        });
+        instance.background().await
     }
 
     /// Looks for twins for as long as it is polled.

@@ -47,11 +47,11 @@ impl MotionCurve {
     /// First of the samples with at least [`CONTACT_SHARE`] of the peak force that lead to the peak without a gap: an
     /// earlier, separate force came from friction.
     pub(super) fn contact(&self) -> Option<Contact> {
-        let force = |sample: &Sample| sample.force_n.abs();
-        let peak = self.samples.iter().map(force).max_by(f32::total_cmp).filter(|peak| *peak > 0.0)?;
-        let at_peak = self.samples.iter().position(|sample| force(sample) >= peak)?;
+        let magnitudes = self.samples.iter().map(|sample| sample.force_n.abs());
+        let peak = magnitudes.max_by(f32::total_cmp).filter(|peak| *peak > 0.0)?;
+        let at_peak = self.samples.iter().position(|sample| sample.force_n.abs() >= peak)?;
         let leading = self.samples[..=at_peak].iter().rev();
-        let first = leading.take_while(|sample| force(sample) >= peak * CONTACT_SHARE).last()?;
+        let first = leading.take_while(|sample| sample.force_n.abs() >= peak * CONTACT_SHARE).last()?;
         Some(Contact { width_mm: first.width_mm, after_ms: first.t_ms.into() })
     }
 

@@ -252,9 +252,11 @@ impl Handle {
     /// Submits a command. It is admitted and recorded, or rejected before anything was sent.
     pub async fn submit(&self, submission: Submission) -> Result<Ticket, Rejection> {
         let id = CommandId::generate();
-        let is_stop = matches!(submission.action, Action::Stop);
-        let request = |answer| ActorRequest::Submit { submission, id, answer };
-        let mut ticket = if is_stop { self.request_reserved(request).await } else { self.try_request(request).await }??;
+        let mut ticket = if matches!(submission.action, Action::Stop) {
+            self.request_reserved(|answer| ActorRequest::Submit { submission, id, answer }).await??
+        } else {
+            self.try_request(|answer| ActorRequest::Submit { submission, id, answer }).await??
+        };
         ticket.recorded().await;
         Ok(ticket)
     }
@@ -353,8 +355,7 @@ impl Handle {
     pub async fn fast_stop(&self, id: FastStopId, client: Client, reason: Reason) -> FastStop {
         let at = clock::instant();
         let mut states = self.states();
-        let latch_epoch = |state: &State| state.latch.as_ref().map_or(0, |latch| latch.epoch);
-        let before = latch_epoch(&states.borrow());
+        let before = states.borrow().latch.as_ref().map_or(0, |latch| latch.epoch);
         let (epoch, latched) = oneshot::channel();
         let request = FastStopRequest { id, client, cause: FastStopCause::Requested, reason, at, epoch: Some(epoch) };
         let stop = async {
@@ -364,10 +365,10 @@ impl Handle {
                 Err(mpsc::error::TrySendError::Full(_)) => (before + 1, true),
                 Err(mpsc::error::TrySendError::Closed(_)) => return None,
             };
-            let confirmed_by = |state: &Arc<State>| {
+            let confirmed = states.wait_for(|state| {
                 state.latch.as_ref().is_some_and(|latch| latch.epoch >= epoch && latch.fast_stop_confirmed)
-            };
-            let state = states.wait_for(confirmed_by).await.ok()?;
+            });
+            let state = confirmed.await.ok()?;
             joins.then(|| state.latch.as_ref().map(|latch| latch.fast_stop_id)).flatten().or(Some(id))
         };
         let confirmed = tokio::time::timeout(FAST_STOP_WAIT, stop).await.ok().flatten();

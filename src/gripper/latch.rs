@@ -294,13 +294,13 @@ impl LatchState {
 
     /// Whether an acknowledgement of a fault without a latch can be sent. A latch needs its id.
     pub(super) fn check_acknowledge_fault(&self, is_faulty: bool) -> Result<(), Rejection> {
-        let missing = |detail: String| Err(Invalid::Malformed { field: "fast_stop_id", detail }.into());
-        match self.id() {
-            Some(id) => missing(format!("missing; FAST STOP {id} is latched, and can only be acknowledged by this id")),
-            None if !is_faulty => missing("missing; the device shows no fault to acknowledge without an id".to_owned()),
-            None if self.acknowledging.is_some() => Err(Conflict::Acknowledging { id: None }.into()),
-            None => Ok(()),
-        }
+        let detail = match self.id() {
+            Some(id) => format!("missing; FAST STOP {id} is latched, and can only be acknowledged by this id"),
+            None if !is_faulty => "missing; the device shows no fault to acknowledge without an id".to_owned(),
+            None if self.acknowledging.is_some() => return Err(Conflict::Acknowledging { id: None }.into()),
+            None => return Ok(()),
+        };
+        Err(Invalid::Malformed { field: "fast_stop_id", detail }.into())
     }
 
     /// Notes an acknowledgement whose first request was sent: the 24h of a FAST STOP, or the check of a fault.
@@ -317,8 +317,8 @@ impl LatchState {
 
     /// Whether a fault is to be acknowledged once this read of the flags has ended.
     pub(super) fn is_checking(&self, token: Token) -> bool {
-        let is_current = |progress: &Progress| matches!(progress, Progress::Checking(current) if *current == token);
-        self.acknowledging.as_ref().is_some_and(|acknowledging| is_current(&acknowledging.progress))
+        let Some(acknowledging) = &self.acknowledging else { return false };
+        matches!(acknowledging.progress, Progress::Checking(current) if current == token)
     }
 
     /// Takes the 24h of a fault whose check has shown no FAST STOP, or the reason that it was not sent.

@@ -67,14 +67,14 @@ impl Terms {
 }
 
 fn chosen<T: Copy + PartialEq + Serialize>(field: &'static str, given: Option<T>, allowed: &[T]) -> Result<T, Invalid> {
-    let words = || {
-        let words: Vec<_> = allowed.iter().map(|word| serde_json::json!(word).to_string()).collect();
-        words.join(" or ")
-    };
     match (given, allowed.first()) {
         (Some(given), _) if allowed.contains(&given) => Ok(given),
         (None, Some(first)) => Ok(*first),
-        _ => Err(Invalid::Malformed { field, detail: format!("this gripper's configuration allows only {}", words()) }),
+        _ => {
+            let words: Vec<_> = allowed.iter().map(|word| serde_json::json!(word).to_string()).collect();
+            let detail = format!("this gripper's configuration allows only {}", words.join(" or "));
+            Err(Invalid::Malformed { field, detail })
+        }
     }
 }
 
@@ -332,17 +332,14 @@ impl LeaseState {
         self.epoch += 1;
         self.reserved = None;
         self.asking.retain(|asking| !asking.holder.is(&holder));
-        let open = Arc::new(());
-        let connection = Arc::new(());
-        let expires_at = now + terms.ttl;
         self.held = Some(HeldLease {
             holder,
             terms,
             token,
             times_taken: 1,
-            expires_at,
-            open,
-            connection,
+            expires_at: now + terms.ttl,
+            open: Arc::new(()),
+            connection: Arc::new(()),
             usage,
             is_extended: false,
         });
@@ -450,14 +447,13 @@ impl LeaseState {
     /// The lease as clients see it. It includes the token only if `token` matches.
     pub(super) fn view(&self, now: Instant, token: Option<&LeaseToken>) -> Lease {
         let held = self.held.as_ref();
-        let ms = |time: Duration| time.as_millis() as u64;
         Lease {
             held: held.is_some(),
             holder: held.map(|held| held.holder.name.clone()),
             epoch: self.epoch,
             token: held.map(|held| &held.token).filter(|held| Some(*held) == token).cloned(),
-            ttl_ms: held.map(|held| ms(held.terms.ttl)),
-            expires_in_ms: held.map(|held| ms(held.expires_in(now))),
+            ttl_ms: held.map(|held| held.terms.ttl.as_millis() as u64),
+            expires_in_ms: held.map(|held| held.expires_in(now).as_millis() as u64),
             on_loss_moving: held.map(|held| held.terms.on_loss_moving),
             on_loss_holding: held.map(|held| held.terms.on_loss_holding),
             requested_by: self.asking_now(now).map(|asking| asking.holder.name.clone()),

@@ -64,24 +64,35 @@ impl Limits {
     /// Clamps a motion to the physical limits, as a device does (`fw4-en 3.2.2`). A target that the soft limits
     /// forbid stays forbidden.
     pub(super) fn clamp_motion(&self, motion: Motion, width: Option<f32>) -> Motion {
-        let (_, widest, _) = self.widths();
-        let target = |target: Width| clamped(target, target.mm(), (0.0, widest), Width::new);
-        let speed = |speed: Speed| clamped(speed, speed.mm_s(), bounds(self.speeds()), Speed::new);
         match motion {
             Motion::Home(_) | Motion::Custom(_) => motion,
-            Motion::Move { flags, width: offset, speed: given } if flags.relative => {
+            Motion::Move { flags, width: offset, speed } if flags.relative => {
+                let (_, widest, _) = self.widths();
                 let from = width.unwrap_or_default().clamp(0.0, widest.max(0.0));
                 let width = clamped(offset, offset.mm(), (-from, widest - from), Width::new);
-                Motion::Move { flags, width, speed: speed(given) }
+                Motion::Move { flags, width, speed: self.clamp_speed(speed) }
             }
-            Motion::Move { flags, width, speed: given } => {
-                Motion::Move { flags, width: target(width), speed: speed(given) }
+            Motion::Move { flags, width, speed } => {
+                Motion::Move { flags, width: self.clamp_width(width), speed: self.clamp_speed(speed) }
             }
-            Motion::Grip { width, speed: given, force, part_id, recipe, is_reference } => {
-                Motion::Grip { width: target(width), speed: speed(given), force, part_id, recipe, is_reference }
+            Motion::Grip { width, speed, force, part_id, recipe, is_reference } => {
+                let width = self.clamp_width(width);
+                let speed = self.clamp_speed(speed);
+                Motion::Grip { width, speed, force, part_id, recipe, is_reference }
             }
-            Motion::Release { width, speed: given } => Motion::Release { width: target(width), speed: speed(given) },
+            Motion::Release { width, speed } => {
+                Motion::Release { width: self.clamp_width(width), speed: self.clamp_speed(speed) }
+            }
         }
+    }
+
+    fn clamp_width(&self, width: Width) -> Width {
+        let (_, widest, _) = self.widths();
+        clamped(width, width.mm(), (0.0, widest), Width::new)
+    }
+
+    fn clamp_speed(&self, speed: Speed) -> Speed {
+        clamped(speed, speed.mm_s(), bounds(self.speeds()), Speed::new)
     }
 
     /// Clamps a setting to the limits, as a device does (`fw4-en 3.3`).
@@ -94,9 +105,9 @@ impl Limits {
                 Command::SetForceLimit(clamped(given, given.n(), bounds(self.forces()), Force::new))
             }
             Command::SetSoftLimits(given) => {
-                let (_, widest, _) = self.widths();
-                let width = |width: Width| clamped(width, width.mm(), (0.0, widest), Width::new);
-                Command::SetSoftLimits(SoftLimits::new(width(given.minus()), width(given.plus())).unwrap_or(given))
+                let minus = self.clamp_width(given.minus());
+                let plus = self.clamp_width(given.plus());
+                Command::SetSoftLimits(SoftLimits::new(minus, plus).unwrap_or(given))
             }
             command => command,
         }

@@ -182,36 +182,37 @@ impl Newest {
     /// If a gripper of this name is already registered.
     pub fn register(registry: &Registry, handle: &Handle) -> Result<Registration> {
         let of = Of { registry, gripper: handle.name(), collectors: RefCell::default() };
-        let flag = |name, help| IntGauge::with_opts(of.opts(name, help));
-        let value = |name, help| Gauge::with_opts(of.opts(name, help));
         let newest = Self {
             state: handle.states(),
-            link_up: flag("wsg_link_up", "1 if the link is set up and responds, else 0.")?,
-            latched: flag("wsg_fast_stop_latched", "1 if a FAST STOP is latched, else 0.")?,
-            unconfirmed: flag(
+            link_up: of.flag("wsg_link_up", "1 if the link is set up and responds, else 0.")?,
+            latched: of.flag("wsg_fast_stop_latched", "1 if a FAST STOP is latched, else 0.")?,
+            unconfirmed: of.flag(
                 "wsg_fast_stop_unconfirmed",
                 "1 if a FAST STOP is latched that the device has not confirmed, else 0.",
             )?,
-            leased: flag("wsg_lease_held", "1 if a client holds the lease, else 0.")?,
+            leased: of.flag("wsg_lease_held", "1 if a client holds the lease, else 0.")?,
             holder: IntGaugeVec::new(
                 of.opts("wsg_lease_holder_info", "Always 1; the label names the client that holds the lease."),
                 &["holder"],
             )?,
-            age: value("wsg_update_age_seconds", "Age of the oldest known value of the device.")?,
+            age: of.gauge("wsg_update_age_seconds", "Age of the oldest known value of the device.")?,
             reported: [
                 (
-                    value("wsg_temperature_celsius", "Temperature of the device; missing while unknown.")?,
+                    of.gauge("wsg_temperature_celsius", "Temperature of the device; missing while unknown.")?,
                     |values, now| values.temperature_c(now).map(f64::from),
                 ),
                 (
-                    value("wsg_state_code", "Number of the gripper state, as in the manual; missing while unknown.")?,
+                    of.gauge(
+                        "wsg_state_code",
+                        "Number of the gripper state, as in the manual; missing while unknown.",
+                    )?,
                     |values, now| values.state_code(now).map(f64::from),
                 ),
-                (value("wsg_width_meters", "Opening width; missing while unknown.")?, |values, now| {
+                (of.gauge("wsg_width_meters", "Opening width; missing while unknown.")?, |values, now| {
                     values.width_mm(now).map(|width_mm| f64::from(width_mm) / 1000.0)
                 }),
                 (
-                    value("wsg_force_newtons", "Gripping force, summed over the fingers; missing while unknown.")?,
+                    of.gauge("wsg_force_newtons", "Gripping force, summed over the fingers; missing while unknown.")?,
                     |values, now| values.force_n(now).map(f64::from),
                 ),
             ],
@@ -274,6 +275,16 @@ impl Of<'_> {
 
     fn opts(&self, name: &str, help: &str) -> Opts {
         Opts::new(name, help).const_label("gripper", self.gripper.as_str())
+    }
+
+    /// Creates a gauge that is 1 or 0, without registering the gauge: [`Newest`] collects it.
+    fn flag(&self, name: &str, help: &str) -> Result<IntGauge> {
+        IntGauge::with_opts(self.opts(name, help))
+    }
+
+    /// Creates a gauge without registering it: [`Newest`] collects it.
+    fn gauge(&self, name: &str, help: &str) -> Result<Gauge> {
+        Gauge::with_opts(self.opts(name, help))
     }
 
     fn histogram_opts(&self, name: &str, help: &str, buckets: &[f64]) -> HistogramOpts {

@@ -315,9 +315,10 @@ impl Observed {
 
     fn deadlines(&self) -> impl Iterator<Item = (u8, Instant)> {
         let referenced = self.has(SystemState::REFERENCED);
-        let expected = move |&(id, _): &(u8, _)| referenced || id != id::GET_WIDTH;
-        let silent_from = |(id, fresh): (u8, &Option<Instant>)| fresh.map(|fresh| (id, fresh + self.renew_after));
-        UPDATED.into_iter().zip(&self.fresh).filter_map(silent_from).filter(expected)
+        let getters = UPDATED.into_iter().zip(&self.fresh);
+        getters
+            .filter_map(|(id, fresh)| fresh.map(|fresh| (id, fresh + self.renew_after)))
+            .filter(move |&(id, _)| referenced || id != id::GET_WIDTH)
     }
 
     /// Notes that a getter was requested, so that it is not requested again at once.

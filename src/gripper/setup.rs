@@ -215,15 +215,13 @@ impl Setup {
 
     /// Restores a force limit, but at most the nominal force, because Overdrive Mode is not restored.
     fn compare_force_limit(&mut self, found: Force) {
+        let Some(wanted) = self.wanted.force_limit else { return };
         let nominal = self.limits.map(|limits| limits.nominal_force);
-        let allowed = |wanted| nominal.filter(|nominal| *nominal < wanted).unwrap_or(wanted);
-        match self.wanted.force_limit {
-            Some(wanted)
-                if wanted != found && allowed(wanted) != found && !self.restored.contains(&Setting::ForceLimit) =>
-            {
-                self.todo.push_front(Command::SetForceLimit(allowed(wanted)));
-            }
-            wanted => self.wanted.force_limit = wanted.map(|_| found),
+        let allowed = nominal.filter(|nominal| *nominal < wanted).unwrap_or(wanted);
+        if wanted != found && allowed != found && !self.restored.contains(&Setting::ForceLimit) {
+            self.todo.push_front(Command::SetForceLimit(allowed));
+        } else {
+            self.wanted.force_limit = Some(found);
         }
     }
 

@@ -18,11 +18,10 @@ pub struct InterfaceMetrics {
 
 impl InterfaceMetrics {
     pub fn register(registry: &Registry, door: &str) -> Result<Self> {
-        let opts = |name: &str, help: &str| Opts::new(name, help).const_label("door", door);
-        let clients = opts("wsg_clients_connected", "Open client connections.");
-        let requests = opts("wsg_requests_total", "Answered requests by route, method and status.");
-        let dropped =
-            opts("wsg_updates_dropped_total", "Updates that slow clients skipped because newer ones arrived.");
+        let clients = door_opts(door, "wsg_clients_connected", "Open client connections.");
+        let requests = door_opts(door, "wsg_requests_total", "Answered requests by route, method and status.");
+        let help = "Updates that slow clients skipped because newer ones arrived.";
+        let dropped = door_opts(door, "wsg_updates_dropped_total", help);
         Ok(Self {
             clients: register_in(registry, IntGauge::with_opts(clients)?)?,
             requests: register_in(registry, IntCounterVec::new(requests, &["route", "method", "status"])?)?,
@@ -71,6 +70,11 @@ impl WsgPortMetrics {
     pub fn refused(&self, gripper: &str, status: Option<&str>) {
         self.refused.with_label_values(&[gripper, status.unwrap_or("unlisted")]).inc();
     }
+}
+
+/// Returns the options of a metric that each interface has: its label `door` names the interface.
+pub(super) fn door_opts(door: &str, name: &str, help: &str) -> Opts {
+    Opts::new(name, help).const_label("door", door)
 }
 
 fn register_in<T: Collector + Clone + 'static>(registry: &Registry, metric: T) -> Result<T> {

@@ -27,9 +27,9 @@ impl KnownPeers {
     #[must_use]
     pub fn allows(&self, peer: IpAddr) -> bool {
         let peer = peer.to_canonical();
-        let is_open = || self.allow.is_empty() && (peer.is_loopback() || !self.access.is_guarded());
-        let is_allowed = || self.allow.iter().any(|net| net.contains(&peer));
-        is_open() || is_allowed() || self.identity(peer).is_some()
+        let is_open = self.allow.is_empty() && (peer.is_loopback() || !self.access.is_guarded());
+        let is_allowed = self.allow.iter().any(|net| net.contains(&peer));
+        is_open || is_allowed || self.identity(peer).is_some()
     }
 
     /// The identity of a client that the configuration knows by its address.
@@ -43,9 +43,13 @@ impl KnownPeers {
     /// # Errors
     /// [`Unauthorized`] if the client may not connect (any more).
     pub fn operator(&self, peer: IpAddr) -> Result<Identity, Unauthorized> {
-        let operator = || Identity { role: Role::Operator, proof: Proof::Address, ..Identity::anyone() };
-        let identity = self.identity(peer).or_else(|| self.allows(peer).then(operator));
-        identity.ok_or(Unauthorized::Missing)
+        match self.identity(peer) {
+            Some(identity) => Ok(identity),
+            None if self.allows(peer) => {
+                Ok(Identity { role: Role::Operator, proof: Proof::Address, ..Identity::anyone() })
+            }
+            None => Err(Unauthorized::Missing),
+        }
     }
 
     /// Whether a client may move this gripper.
@@ -58,8 +62,10 @@ impl KnownPeers {
     /// its identity after a restart, although its port differs.
     #[must_use]
     pub fn client(&self, peer: IpAddr, interface: &str, door: Door) -> Client {
-        let name = self.identity(peer).and_then(|identity| identity.name);
-        let by_address = || format!("{interface}:{}", peer.to_canonical());
-        Client::new(name.map_or_else(by_address, |name| name.to_string()), door)
+        let subject = match self.identity(peer).and_then(|identity| identity.name) {
+            Some(name) => name.to_string(),
+            None => format!("{interface}:{}", peer.to_canonical()),
+        };
+        Client::new(subject, door)
     }
 }

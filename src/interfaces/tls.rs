@@ -191,26 +191,24 @@ impl TlsFiles {
         }
         let private = PrivateKeyDer::from_pem_slice(&read(key)?);
         let private = private.map_err(|cause| TlsError::Pem { path: key.clone(), cause })?;
-        let unusable = |cause| TlsError::Unusable { certificate: certificate.clone(), key: key.clone(), cause };
         let provider = Arc::new(default_provider());
         let verifier = match client_ca {
             None => WebPkiClientVerifier::no_client_auth(),
             Some(path) => {
-                let unusable = |cause: String| TlsError::NoAuthority { path: path.clone(), cause };
                 let mut authorities = RootCertStore::empty();
                 for authority in certificates(path)? {
-                    authorities.add(authority).map_err(|cause| unusable(cause.to_string()))?;
+                    authorities.add(authority).map_err(|cause| no_authority(path, &cause))?;
                 }
                 let verifier = WebPkiClientVerifier::builder_with_provider(Arc::new(authorities), provider.clone());
-                verifier.allow_unauthenticated().build().map_err(|cause| unusable(cause.to_string()))?
+                verifier.allow_unauthenticated().build().map_err(|cause| no_authority(path, &cause))?
             }
         };
         let mut config = ServerConfig::builder_with_provider(provider)
             .with_safe_default_protocol_versions()
-            .map_err(unusable)?
+            .map_err(|cause| self.unusable(cause))?
             .with_client_cert_verifier(verifier)
             .with_single_cert(chain, private)
-            .map_err(unusable)?;
+            .map_err(|cause| self.unusable(cause))?;
         config.alpn_protocols = vec![b"http/1.1".to_vec()];
         if client_ca.is_some() {
             // A resumed session would not check the client's certificate again.
@@ -219,6 +217,14 @@ impl TlsFiles {
         }
         Ok(Usable { config: Arc::new(config), expiry })
     }
+
+    fn unusable(&self, cause: rustls::Error) -> TlsError {
+        TlsError::Unusable { certificate: self.certificate.clone(), key: self.key.clone(), cause }
+    }
+}
+
+fn no_authority(path: &Path, cause: &impl ToString) -> TlsError {
+    TlsError::NoAuthority { path: path.to_owned(), cause: cause.to_string() }
 }
 
 /// Returns the end of the certificate that ends first. Clients check all of a chain.

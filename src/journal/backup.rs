@@ -45,20 +45,23 @@ pub fn back_up(journal: &Path, to: &Path, mut progress: impl FnMut(u64, u64)) ->
     if to.exists() {
         return Err(BackupError::Exists(to.to_owned()));
     }
-    let failed = |cause| BackupError::Write { path: to.to_owned(), cause };
     // Only its owner can read the copy, as with the journal.
     let created = OpenOptions::new().write(true).create(true).truncate(true).mode(0o600).open(&part);
-    created.map_err(failed)?;
-    let copied = copy(reader.connection(), &part, &mut progress);
-    let finished = copied.map_err(|cause| BackupError::Copy { path: to.to_owned(), cause });
-    let finished = finished.and_then(|()| {
-        fs::File::open(&part).and_then(|file| file.sync_all()).map_err(failed)?;
-        fs::rename(&part, to).map_err(failed)
-    });
+    created.map_err(|cause| BackupError::Write { path: to.to_owned(), cause })?;
+    let finished = match copy(reader.connection(), &part, &mut progress) {
+        Ok(()) => put_in_place(&part, to).map_err(|cause| BackupError::Write { path: to.to_owned(), cause }),
+        Err(cause) => Err(BackupError::Copy { path: to.to_owned(), cause }),
+    };
     if finished.is_err() {
         let _ = fs::remove_file(&part);
     }
     finished
+}
+
+/// Renames the complete copy, once it is on the disk.
+fn put_in_place(part: &Path, to: &Path) -> io::Result<()> {
+    fs::File::open(part)?.sync_all()?;
+    fs::rename(part, to)
 }
 
 fn copy(journal: &Connection, to: &Path, progress: &mut impl FnMut(u64, u64)) -> rusqlite::Result<()> {
@@ -72,8 +75,11 @@ fn copy(journal: &Connection, to: &Path, progress: &mut impl FnMut(u64, u64)) ->
     loop {
         let step = backup.step(PAGES)?;
         let left = backup.progress();
-        let bytes = |pages: i32| u64::from(pages.unsigned_abs()) * page_bytes;
-        progress(bytes(left.pagecount - left.remaining), bytes(left.pagecount));
+        let copied_pages = left.pagecount - left.remaining;
+        progress(
+            u64::from(copied_pages.unsigned_abs()) * page_bytes,
+            u64::from(left.pagecount.unsigned_abs()) * page_bytes,
+        );
         match step {
             StepResult::Done => break,
             StepResult::More => {}

@@ -39,31 +39,39 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Vec<Sample>, NoCurve> {
         return Err(NoCurve);
     }
     let mut steps = Steps::default();
-    let sample = |difference: Steps| {
+    let mut samples = Vec::new();
+    for difference in differences {
         steps = std::array::from_fn(|i| steps[i].wrapping_add(difference[i]));
-        from_steps(steps)
-    };
-    differences.into_iter().map(sample).collect()
+        samples.push(from_steps(steps)?);
+    }
+    Ok(samples)
 }
 
 fn to_steps(sample: &Sample) -> Steps {
-    let steps = |value: f32, per_unit: f64| (f64::from(value) * per_unit).round() as i64;
     [
         i64::from(sample.t_ms),
-        steps(sample.width_mm, STEPS_PER_MM),
-        steps(sample.speed_mm_s, STEPS_PER_MM_S),
-        steps(sample.force_n, STEPS_PER_N),
+        rounded(sample.width_mm, STEPS_PER_MM),
+        rounded(sample.speed_mm_s, STEPS_PER_MM_S),
+        rounded(sample.force_n, STEPS_PER_N),
     ]
 }
 
+/// Nearest number of steps.
+fn rounded(value: f32, steps_per_unit: f64) -> i64 {
+    (f64::from(value) * steps_per_unit).round() as i64
+}
+
 fn from_steps([t_ms, width, speed, force]: Steps) -> Result<Sample, NoCurve> {
-    let value = |steps: i64, per_unit: f64| (steps as f64 / per_unit) as f32;
     Ok(Sample {
         t_ms: u32::try_from(t_ms).map_err(|_| NoCurve)?,
-        width_mm: value(width, STEPS_PER_MM),
-        speed_mm_s: value(speed, STEPS_PER_MM_S),
-        force_n: value(force, STEPS_PER_N),
+        width_mm: value_of(width, STEPS_PER_MM),
+        speed_mm_s: value_of(speed, STEPS_PER_MM_S),
+        force_n: value_of(force, STEPS_PER_N),
     })
+}
+
+fn value_of(steps: i64, steps_per_unit: f64) -> f32 {
+    (steps as f64 / steps_per_unit) as f32
 }
 
 #[cfg(test)]

@@ -37,8 +37,8 @@ pub(super) fn read(connection: &Connection) -> rusqlite::Result<Option<Uuid>> {
 /// Reads a value; `None` if it is missing or damaged.
 pub(super) fn value(connection: &Connection, key: &str) -> rusqlite::Result<Option<String>> {
     let sql = "SELECT value, hash FROM memory WHERE gripper = ? AND key = ?";
-    let row = |row: &rusqlite::Row<'_>| Ok((row.get(0)?, row.get(1)?));
-    let stored: Option<(String, [u8; 32])> = connection.query_row(sql, [NO_GRIPPER, key], row).optional()?;
+    let stored: Option<(String, [u8; 32])> =
+        connection.query_row(sql, [NO_GRIPPER, key], |row| Ok((row.get(0)?, row.get(1)?))).optional()?;
     let intact = stored.filter(|(value, hash)| *hash == memory_hash(NO_GRIPPER, key, value));
     Ok(intact.map(|(value, _)| value))
 }

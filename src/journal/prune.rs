@@ -126,16 +126,15 @@ impl Pruning {
     fn look(&mut self, connection: &Connection, now: Timestamp) -> rusqlite::Result<Option<Removal>> {
         let max_age = self.retention.max_age.filter(|_| !self.is_clock_doubtful);
         if let Some(before) = max_age.and_then(|age| now.checked_sub(age).ok()) {
-            let is_overdue = |at: i64| at < milliseconds(before - LEEWAY);
             for chain in Chain::ALL {
-                if oldest(connection, chain, now)?.is_some_and(is_overdue)
+                if oldest(connection, chain, now)?.is_some_and(|at| is_overdue(at, before))
                     && let Some(last) = removal(connection, |chain| before_time(connection, chain, before, now))?
                 {
                     return Ok(Some(Removal { last, kept: kept::KeptLimit::Age(milliseconds(before)) }));
                 }
             }
             // Events that a removal for the size has left get too old as well.
-            if kept::oldest(connection)?.is_some_and(is_overdue) {
+            if kept::oldest(connection)?.is_some_and(|at| is_overdue(at, before)) {
                 let last = [anchor(connection, Chain::Events)?, anchor(connection, Chain::Grips)?];
                 return Ok(Some(Removal { last, kept: kept::KeptLimit::Age(milliseconds(before)) }));
             }
@@ -155,6 +154,11 @@ impl Pruning {
         })?;
         Ok(last.map(|last| Removal { last, kept: kept::KeptLimit::Size(max) }))
     }
+}
+
+/// Whether a record of the time `at`, in ms since 1970, is older than `before` by more than the leeway.
+fn is_overdue(at: i64, before: Timestamp) -> bool {
+    at < milliseconds(before - LEEWAY)
 }
 
 /// Returns the last record that can be removed of each chain, where `last` is the last that should be. Records of a
@@ -219,8 +223,12 @@ fn first_within(
 
 /// Returns the file's size without its free pages, in bytes.
 fn used(connection: &Connection) -> rusqlite::Result<u64> {
-    let number = |pragma| connection.pragma_query_value(None, pragma, |row| row.get::<_, u32>(0).map(u64::from));
-    Ok((number("page_count")? - number("freelist_count")?) * number("page_size")?)
+    let pages = pragma(connection, "page_count")? - pragma(connection, "freelist_count")?;
+    Ok(pages * pragma(connection, "page_size")?)
+}
+
+fn pragma(connection: &Connection, name: &str) -> rusqlite::Result<u64> {
+    connection.pragma_query_value(None, name, |row| row.get::<_, u32>(0).map(u64::from))
 }
 
 /// Returns the event that attests a removal. It is written before the removal begins.

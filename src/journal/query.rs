@@ -211,13 +211,12 @@ struct Plan {
 /// Chooses the conditions and the index for a filter. Returns `None` if no record can match.
 fn plan<K: ChainKind>(filter: &Filter<K>) -> Option<Plan> {
     let has_part = filter.part_id.is_some() || filter.part_prefix.is_some();
-    let is_impossible = |kind: K| {
+    if let Some(kind) = filter.kind {
         let can_have_part = [K::WITH_PART, K::ALSO_WITH_PART].contains(&kind);
         let can_have_outcome = K::WITH_OUTCOME.is_none_or(|with_outcome| with_outcome == kind);
-        (has_part && !can_have_part) || (filter.outcome.is_some() && !can_have_outcome)
-    };
-    if filter.kind.is_some_and(is_impossible) {
-        return None;
+        if (has_part && !can_have_part) || (filter.outcome.is_some() && !can_have_outcome) {
+            return None;
+        }
     }
     let mut of_part = Vec::new();
     of_part.extend(filter.part_id.as_ref().map(|part_id| ("part_id", "=", part_id.as_str().to_owned())));
@@ -274,9 +273,8 @@ pub(super) fn grip(connection: &Connection, id: CommandId) -> rusqlite::Result<O
 /// Reads a page of records up to `until`.
 pub(super) fn page<K: ChainKind>(connection: &Connection, query: &Query<K>, until: i64) -> rusqlite::Result<Page> {
     let cursor = query.cursor.map(|Cursor(seq)| seq);
-    let resume = |last: Option<i64>| (query.order == Order::Oldest).then(|| last.or(cursor).unwrap_or(0).to_string());
     let Some(plan) = plan(&query.filter) else {
-        return Ok(Page { resume_cursor: resume(None), ..Page::default() });
+        return Ok(Page { resume_cursor: resume_after(query, None), ..Page::default() });
     };
     let (first, last) = match query.order {
         Order::Newest => (0, cursor.map_or(until, |seq| until.min(seq.saturating_sub(1)))),
@@ -301,8 +299,14 @@ pub(super) fn page<K: ChainKind>(connection: &Connection, query: &Query<K>, unti
     let more = found.len() > limit;
     found.truncate(limit);
     let next_cursor = found.last().filter(|_| more).map(|(seq, _)| Cursor(*seq).to_string());
-    let resume_cursor = resume(found.last().map(|(seq, _)| *seq));
+    let resume_cursor = resume_after(query, found.last().map(|(seq, _)| *seq));
     Ok(Page { bodies: found.into_iter().map(|(_, body)| body).collect(), next_cursor, resume_cursor })
+}
+
+/// Returns the cursor for later records than those of a page, of which `last` is the last.
+fn resume_after<K>(query: &Query<K>, last: Option<i64>) -> Option<String> {
+    let cursor = query.cursor.map(Cursor::seq);
+    (query.order == Order::Oldest).then(|| last.or(cursor).unwrap_or(0).to_string())
 }
 
 fn read_run<K: ChainKind>(
@@ -318,8 +322,10 @@ fn read_run<K: ChainKind>(
     let order = if query.order == Order::Newest { "DESC" } else { "ASC" };
     let table = chain.name();
     let served_columns = chain.served();
-    let of_kind = |kind| format!("SELECT seq FROM {table} INDEXED BY {table}_kind WHERE kind = '{kind}'");
-    let without = plan.without.iter().map(|kind| format!("seq NOT IN ({}) AND ", of_kind(kind)));
+    let without = plan
+        .without
+        .iter()
+        .map(|kind| format!("seq NOT IN (SELECT seq FROM {table} INDEXED BY {table}_kind WHERE kind = '{kind}') AND "));
     let mut conditions: String = tests.chain(without).collect();
     let mut values: Vec<Value> = plan.conditions.iter().map(|(.., value)| value.clone().into()).collect();
     if !run.whole {
@@ -329,18 +335,15 @@ fn read_run<K: ChainKind>(
     }
     let limit = i64::try_from(enough - found.len()).unwrap_or(i64::MAX);
     values.extend([run.first.into(), run.last.into(), limit.into()]);
-    let select = |columns| {
-        let index = &plan.index;
-        format!(
-            "SELECT {columns} FROM {table} {index} WHERE {conditions} seq BETWEEN ? AND ? ORDER BY seq {order} LIMIT ?"
-        )
-    };
-    let sql = if plan.is_by_prefix {
+    let columns = if plan.is_by_prefix { "seq".to_owned() } else { format!("seq, {served_columns}") };
+    let index = &plan.index;
+    let mut sql = format!(
+        "SELECT {columns} FROM {table} {index} WHERE {conditions} seq BETWEEN ? AND ? ORDER BY seq {order} LIMIT ?"
+    );
+    if plan.is_by_prefix {
         // The parts of a prefix are in the order of their names, so the index alone finds the numbers to sort.
-        format!("SELECT seq, {served_columns} FROM {table} WHERE seq IN ({}) ORDER BY seq {order}", select("seq"))
-    } else {
-        select(&format!("seq, {served_columns}"))
-    };
+        sql = format!("SELECT seq, {served_columns} FROM {table} WHERE seq IN ({sql}) ORDER BY seq {order}");
+    }
     let mut statement = connection.prepare_cached(&sql)?;
     let mut rows = statement.query(rusqlite::params_from_iter(values))?;
     while let Some(row) = rows.next()? {

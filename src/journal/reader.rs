@@ -125,8 +125,11 @@ impl Reader {
             let mut statement = connection.prepare_cached("SELECT curve FROM grips WHERE command_id = ?")?;
             statement.query_row([id.to_string()], |row| row.get(0)).optional()
         })?;
-        let damaged = |error| ReadError(format!("the journal {}: grip {id}: {error}", self.source.place));
-        bytes.map(|bytes| curve::decode(&bytes).map_err(damaged)).transpose()
+        let Some(bytes) = bytes else { return Ok(None) };
+        match curve::decode(&bytes) {
+            Ok(samples) => Ok(Some(samples)),
+            Err(error) => Err(ReadError(format!("the journal {}: grip {id}: {error}", self.source.place))),
+        }
     }
 
     /// Computes statistics of grips.

@@ -91,14 +91,17 @@ pub(super) enum Content {
 
 /// Determines the content of a file.
 pub(super) fn content(connection: &Connection) -> rusqlite::Result<Content> {
-    let number = |pragma| connection.pragma_query_value(None, pragma, |row| row.get::<_, i32>(0));
     let tables: i64 = connection.query_row("SELECT count(*) FROM sqlite_schema", [], |row| row.get(0))?;
-    Ok(match (number("application_id")?, number("user_version")?, tables) {
+    Ok(match (pragma(connection, "application_id")?, pragma(connection, "user_version")?, tables) {
         (0, 0, 0) => Content::Nothing,
         (APPLICATION_ID, VERSION, _) => Content::Journal,
         (APPLICATION_ID, version, _) => Content::Version(version),
         _ => Content::Other,
     })
+}
+
+fn pragma(connection: &Connection, name: &str) -> rusqlite::Result<i32> {
+    connection.pragma_query_value(None, name, |row| row.get(0))
 }
 
 /// Makes an empty file a journal.

@@ -126,8 +126,10 @@ impl Shared {
 
     /// Counts one more waiting record; returns false if `places` records wait already.
     pub(super) fn reserve_place(&self, places: usize) -> bool {
-        let one_more = |waiting| (waiting < places).then_some(waiting + 1);
-        self.waiting.fetch_update(Ordering::AcqRel, Ordering::Acquire, one_more).is_ok()
+        let reserved = self
+            .waiting
+            .fetch_update(Ordering::AcqRel, Ordering::Acquire, |waiting| (waiting < places).then_some(waiting + 1));
+        reserved.is_ok()
     }
 
     pub(super) fn release_place(&self) {

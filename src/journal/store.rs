@@ -88,30 +88,11 @@ impl Store {
             JournalLocation::Memory => None,
         };
         let source = Source::new(place);
-        let unusable = |error: rusqlite::Error| OpenError::Unusable(source.describe(&error));
-        let mut connection = source.writing().map_err(unusable)?;
-        match content(&connection).map_err(unusable)? {
-            Content::Journal => {
-                // Files of version 0.1.0 lack these. Only statistics and removals need them, so a full disk must not
-                // prevent the start.
-                if let Err(error) = connection.execute_batch(statistics::INDEX) {
-                    tracing::warn!(%error, "index for statistics not created: statistics are unavailable");
-                }
-                if let Err(error) = connection.execute_batch(kept::TABLE) {
-                    tracing::warn!(%error, "table of kept events not created: no record is removed");
-                }
-            }
-            Content::Nothing => {
-                // This pragma has an effect only before the tables exist.
-                connection.pragma_update(None, "auto_vacuum", "INCREMENTAL").map_err(unusable)?;
-                write_ahead(&connection).map_err(unusable)?;
-                schema::create(&mut connection).map_err(unusable)?;
-            }
-            other => return Err(OpenError::NoJournal(other.describe(Path::new(&source.place.to_string())))),
-        }
-        write_ahead(&connection).map_err(unusable)?;
-        // Makes SQLite create the write-ahead log and its index now.
-        content(&connection).map_err(unusable)?;
+        let opened = connect(&source).map_err(|error| OpenError::Unusable(source.describe(&error)))?;
+        let connection = match opened {
+            Ok(connection) => connection,
+            Err(other) => return Err(OpenError::NoJournal(other.describe(Path::new(&source.place.to_string())))),
+        };
         let presence = FilePresence::new(&source.place, &connection);
         let presence =
             presence.map_err(|error| OpenError::Unusable(format!("the journal {}: {error}", source.place)))?;
@@ -239,6 +220,34 @@ fn persist(connection: &Connection, gripper: &str, key: &str, value: Option<&str
     connection.prepare_cached(sql)?.execute(values).map(drop)
 }
 
+/// Opens a journal's file, and makes an empty file a journal. Returns the content of a file that is not a journal.
+fn connect(source: &Source) -> rusqlite::Result<Result<Connection, Content>> {
+    let mut connection = source.writing()?;
+    match content(&connection)? {
+        Content::Journal => {
+            // Files of version 0.1.0 lack these. Only statistics and removals need them, so a full disk must not
+            // prevent the start.
+            if let Err(error) = connection.execute_batch(statistics::INDEX) {
+                tracing::warn!(%error, "index for statistics not created: statistics are unavailable");
+            }
+            if let Err(error) = connection.execute_batch(kept::TABLE) {
+                tracing::warn!(%error, "table of kept events not created: no record is removed");
+            }
+        }
+        Content::Nothing => {
+            // This pragma has an effect only before the tables exist.
+            connection.pragma_update(None, "auto_vacuum", "INCREMENTAL")?;
+            write_ahead(&connection)?;
+            schema::create(&mut connection)?;
+        }
+        other => return Ok(Err(other)),
+    }
+    write_ahead(&connection)?;
+    // Makes SQLite create the write-ahead log and its index now.
+    content(&connection)?;
+    Ok(Ok(connection))
+}
+
 /// Configures a connection so that readers don't wait for the writer, and each commit is on the disk when it returns.
 fn write_ahead(connection: &Connection) -> rusqlite::Result<()> {
     connection.pragma_update_and_check(None, "journal_mode", "WAL", |_| Ok(()))?;
@@ -259,19 +268,17 @@ impl Drop for Lock {
 }
 
 fn lock(path: &Path) -> Result<Lock, OpenError> {
-    let failed = |path: &Path| {
-        let path = path.to_owned();
-        move |cause| OpenError::Directory { path, cause }
-    };
     if let Some(directory) = path.parent().filter(|directory| !directory.as_os_str().is_empty()) {
-        DirBuilder::new().recursive(true).mode(0o700).create(directory).map_err(failed(directory))?;
+        let created = DirBuilder::new().recursive(true).mode(0o700).create(directory);
+        created.map_err(|cause| OpenError::Directory { path: directory.to_owned(), cause })?;
     }
-    let name = lock_file(path).map_err(failed(path))?;
-    let lock = File::options().write(true).create(true).truncate(false).open(&name).map_err(failed(&name))?;
+    let name = lock_file(path).map_err(|cause| OpenError::Directory { path: path.to_owned(), cause })?;
+    let opened = File::options().write(true).create(true).truncate(false).open(&name);
+    let lock = opened.map_err(|cause| OpenError::Directory { path: name.clone(), cause })?;
     match lock.try_lock() {
         Ok(()) => Ok(Lock(lock)),
         Err(TryLockError::WouldBlock) => Err(OpenError::Locked(path.to_owned())),
-        Err(TryLockError::Error(cause)) => Err(failed(&name)(cause)),
+        Err(TryLockError::Error(cause)) => Err(OpenError::Directory { path: name, cause }),
     }
 }
 

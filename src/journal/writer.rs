@@ -134,7 +134,6 @@ impl JournalWriter {
     ) -> rusqlite::Result<Self> {
         let ends = store.ends()?;
         let started = Instant::now();
-        let pruning = Pruning::new(retention, started);
         let clock = ClockCheck::new(&store.connection, started)?;
         let (shared, senders) = Shared::new(ends[Chain::Events as usize].seq);
         let shared = Arc::new(shared);
@@ -153,7 +152,7 @@ impl JournalWriter {
             check_at: Instant::now() + CHECK_EVERY,
             empty_log_at: None,
             lost_reported: 0,
-            pruning,
+            pruning: Pruning::new(retention, started),
             clock,
             time_server: TimeServer::default(),
             head,

@@ -27,13 +27,16 @@ settings! {
 
 /// Ids of scripts on the gripper. The effect of the manual's ids is known, so they cannot be declared.
 fn script_ids(range: &str, example: &str) -> SettingValue<BTreeSet<u8>> {
-    let check = |ids: BTreeSet<u8>| match ids.iter().find_map(|&id| Some((id, id::name(id)?))) {
+    parsed(BTreeSet::new(), "[]", range, check_scripts).shown("`[]`", example)
+}
+
+fn check_scripts(ids: BTreeSet<u8>) -> Result<BTreeSet<u8>, String> {
+    match ids.iter().find_map(|&id| Some((id, id::name(id)?))) {
         None => Ok(ids),
         Some((id, name)) => {
             Err(format!("contains {id} ({id:02X}h), which is {name} in the manual: list only ids of scripts"))
         }
-    };
-    parsed(BTreeSet::new(), "[]", range, check).shown("`[]`", example)
+    }
 }
 
 impl CustomIds {

@@ -91,14 +91,17 @@ impl std::str::FromStr for Name {
     type Err = InvalidName;
 
     fn from_str(text: &str) -> Result<Self, InvalidName> {
-        let allowed = |byte: &u8| matches!(byte, b'a'..=b'z' | b'0'..=b'9' | b'_' | b'-');
         let first = text.bytes().next().is_some_and(|byte| byte.is_ascii_lowercase() || byte.is_ascii_digit());
-        if first && text.len() <= 32 && text.as_bytes().iter().all(allowed) {
+        if first && text.len() <= 32 && text.bytes().all(is_name_byte) {
             Ok(Self(text.into()))
         } else {
             Err(InvalidName(text.chars().take(40).collect()))
         }
     }
+}
+
+fn is_name_byte(byte: u8) -> bool {
+    matches!(byte, b'a'..=b'z' | b'0'..=b'9' | b'_' | b'-')
 }
 
 impl Name {

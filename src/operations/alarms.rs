@@ -70,16 +70,17 @@ fn acknowledge(call: &Call<AcknowledgeAlarms>) -> Result<Json<AlarmsAcknowledged
     if !(1..=MAX_IDS).contains(&ids.len()) {
         return Err(Problem::malformed("ids", format!("ids must have 1 to {MAX_IDS} ids")));
     }
-    let parsed = |id: String| {
-        id.parse().map_err(|error| {
-            let id = shortened(&id);
-            Problem::malformed("ids", format!("ids has {id:?}, which is not a UUID: {error}"))
-        })
-    };
-    let mut ids: BTreeSet<AlarmId> = ids.into_iter().map(parsed).collect::<Result<_, _>>()?;
+    let mut ids: BTreeSet<AlarmId> = ids.iter().map(|id| parse_id(id)).collect::<Result<_, _>>()?;
     let acknowledged = call.gateway.alarms.acknowledge(&ids, &call.caller.client);
     for alarm in &acknowledged {
         ids.remove(&alarm.id);
     }
     Ok(Json(AlarmsAcknowledged { acknowledged, unknown: ids.into_iter().collect() }))
+}
+
+fn parse_id(id: &str) -> Result<AlarmId, Problem> {
+    id.parse::<AlarmId>().map_err(|error| {
+        let id = shortened(id);
+        Problem::malformed("ids", format!("ids has {id:?}, which is not a UUID: {error}"))
+    })
 }

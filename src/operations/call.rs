@@ -104,9 +104,8 @@ impl<P> Call<P> {
     /// Returns the gripper, and uses the lease whose token came alongside the parameters, if that is valid.
     pub fn gripper_despite_mistakes(&self) -> Result<Gripper, Problem> {
         let text = self.params.part("gripper")?;
-        let unknown = || self.gateway.no_gripper(text, self.caller.identity.is_ok());
-        let name = text.parse().map_err(|_| unknown())?;
-        let handle = self.gateway.grippers.get(&name).ok_or_else(unknown)?;
+        let name: Name = text.parse().map_err(|_| self.no_gripper(text))?;
+        let handle = self.gateway.grippers.get(&name).ok_or_else(|| self.no_gripper(text))?;
         let Caller { client, lease, request_id, presence, .. } = self.caller.clone();
         // Operations that need no request id refuse an invalid one, too.
         let lease = lease.and_then(|lease| request_id.map(|_| lease));
@@ -114,6 +113,11 @@ impl<P> Call<P> {
         let token = lease.as_ref().ok().and_then(Option::as_ref).filter(|_| keeps_lease);
         let used = token.map(|lease| LeaseUse::begin(&handle, lease, presence));
         Ok(Gripper { handle, client, lease, used, keeps_lease, presence })
+    }
+
+    /// Reports that no gripper has the name in the path.
+    fn no_gripper(&self, name: &str) -> Problem {
+        self.gateway.no_gripper(name, self.caller.identity.is_ok())
     }
 
     /// Whether the caller may still move the gripper.
@@ -248,8 +252,7 @@ impl Gripper {
     pub fn with_lease(self, field: Option<&str>) -> Result<Self, Problem> {
         let RequestKeys { lease, .. } = RequestKeys { lease: self.lease?, request_id: None }.or_fields(None, field)?;
         let token = lease.as_ref().filter(|_| self.keeps_lease);
-        let begin = || token.map(|lease| LeaseUse::begin(&self.handle, lease, self.presence));
-        let used = self.used.or_else(begin);
+        let used = self.used.or_else(|| token.map(|lease| LeaseUse::begin(&self.handle, lease, self.presence)));
         Ok(Self { lease: Ok(lease), used, ..self })
     }
 

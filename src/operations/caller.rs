@@ -127,8 +127,10 @@ impl Wait {
 /// # Errors
 /// A problem if the text is not a whole number from 0 to 60000.
 pub fn wait_ms(given: &str) -> Result<u64, Problem> {
-    let wrong = || Problem::malformed("wait_ms", "wait_ms must be a number of milliseconds").value(Some(given.into()));
-    integer("wait_ms", given.parse().map_err(|_| wrong())?, 0..=MAX_WAIT_MS)
+    let number: f64 = given.parse().map_err(|_| {
+        Problem::malformed("wait_ms", "wait_ms must be a number of milliseconds").value(Some(given.into()))
+    })?;
+    integer("wait_ms", number, 0..=MAX_WAIT_MS)
 }
 
 impl CommandWait {
@@ -156,9 +158,10 @@ impl RequestKeys {
 
     /// Adds the keys among the parameters. An empty text means none: clients with fixed fields send it.
     pub fn or_fields(self, request_id: Option<&str>, lease: Option<&str>) -> Result<Self, Problem> {
-        let given = |text: &&str| !text.is_empty();
-        let request_id = request_id.filter(given).map(|given| text("request_id", given)).transpose()?;
-        let lease = lease.filter(given).map(|given| text::<MAX_LEASE_BYTES>("lease", given)).transpose()?;
+        let request_id = request_id.filter(|given| !given.is_empty());
+        let request_id = request_id.map(|given| text("request_id", given)).transpose()?;
+        let lease = lease.filter(|given| !given.is_empty());
+        let lease = lease.map(|given| text::<MAX_LEASE_BYTES>("lease", given)).transpose()?;
         Ok(Self {
             request_id: one_of("request_id", self.request_id, request_id)?,
             lease: one_of("lease", self.lease, lease.map(|lease| lease.as_str().into()))?,

@@ -114,11 +114,11 @@ async fn latest(call: Call<LatestFields>) -> Result<Json<CommandReport>, Problem
         return Ok(Json(CommandReport { number: Some(state.last_command), ..command }));
     };
     let found = gripper.handle.find_request(gripper.client.subject.clone(), request_id).await?;
-    let unknown = || {
+    let mut ticket = found.ok_or_else(|| {
         Problem::not_found("command of this client with this request id: ids are kept for 10 minutes")
             .field("request_id")
-    };
-    Ok(Json(wait.until_ended(&mut found.ok_or_else(unknown)?).await))
+    })?;
+    Ok(Json(wait.until_ended(&mut ticket).await))
 }
 
 async fn cancel(call: Call<Leased>) -> Result<OrRunning<CommandReport>, Problem> {

@@ -59,8 +59,10 @@ pub(super) async fn ask<T>(
     take: impl FnOnce(Data) -> Option<T>,
 ) -> Result<T, Rejection> {
     let name = wsg::id::name(command.id()).unwrap_or("a custom command");
-    let other = || Failure::DeviceProtocol { command: name, detail: "the reply belongs to another command".to_owned() };
-    take(gripper.exchange(command).await?).ok_or_else(|| other().into())
+    take(gripper.exchange(command).await?).ok_or_else(|| {
+        let detail = "the reply belongs to another command".to_owned();
+        Failure::DeviceProtocol { command: name, detail }.into()
+    })
 }
 
 /// Grip statistics, counted by the device.

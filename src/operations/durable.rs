@@ -16,8 +16,10 @@ const DURABLE_WITHIN: Duration = Duration::from_secs(2);
 /// Refuses a change that would not become durable. `unchanged` says what was not changed.
 pub(super) fn check_journal<P>(call: &Call<P>, unchanged: &str) -> Result<(), Problem> {
     let failure = call.gateway.journal.health().borrow().failure.clone();
-    let down = |cause| Problem::new(Code::JournalDown, format!("journal unavailable ({cause}): {unchanged}"));
-    failure.map_or(Ok(()), |cause| Err(down(cause)))
+    match failure {
+        Some(cause) => Err(Problem::new(Code::JournalDown, format!("journal unavailable ({cause}): {unchanged}"))),
+        None => Ok(()),
+    }
 }
 
 /// Waits until a change is durable.

@@ -119,9 +119,13 @@ pub(super) fn log(id: FastStopId) {
 
 /// Splits grippers into confirmed and unconfirmed ones.
 pub(super) fn by_confirmation(stops: Vec<(impl ToString, bool)>) -> (Vec<String>, Vec<String>) {
-    let (confirmed, unconfirmed): (Vec<_>, Vec<_>) = stops.into_iter().partition(|(_, confirmed)| *confirmed);
-    let names = |stops: Vec<(_, bool)>| stops.into_iter().map(|(name, _)| ToString::to_string(&name)).collect();
-    (names(confirmed), names(unconfirmed))
+    let mut confirmed = Vec::new();
+    let mut unconfirmed = Vec::new();
+    for (name, is_confirmed) in stops {
+        let names = if is_confirmed { &mut confirmed } else { &mut unconfirmed };
+        names.push(name.to_string());
+    }
+    (confirmed, unconfirmed)
 }
 
 async fn one(call: Call<FastStopBody>) -> Result<Json<FastStopAnswer>, Problem> {
@@ -176,13 +180,7 @@ pub struct Acknowledged {
 
 async fn acknowledge(call: Call<Acknowledge>) -> Result<Json<Acknowledged>, Problem> {
     let (gripper, body): (_, Acknowledge) = call.gripper_and_fields()?;
-    let parse = |id: String| {
-        id.parse::<FastStopId>().map_err(|error| {
-            let detail = format!("fast_stop_id is not a UUID: {error}");
-            Problem::malformed("fast_stop_id", detail).value(Some(id.into()))
-        })
-    };
-    let id = body.fast_stop_id.map(parse).transpose()?;
+    let id = body.fast_stop_id.map(parse_id).transpose()?;
     let gripper = gripper.with_lease(body.lease.as_deref())?;
     let client = gripper.client.clone();
     match id {
@@ -190,4 +188,11 @@ async fn acknowledge(call: Call<Acknowledge>) -> Result<Json<Acknowledged>, Prob
         None => gripper.handle.acknowledge_fault(client, gripper.token()).await?,
     }
     Ok(Json(Acknowledged { gripper: gripper.name(), fast_stop_id: id, fast_stop: false }))
+}
+
+fn parse_id(id: String) -> Result<FastStopId, Problem> {
+    id.parse::<FastStopId>().map_err(|error| {
+        let detail = format!("fast_stop_id is not a UUID: {error}");
+        Problem::malformed("fast_stop_id", detail).value(Some(id.into()))
+    })
 }

@@ -124,14 +124,16 @@ fn get(call: &Call<NoFields>) -> Result<Json<FingerSetAnswer>, Problem> {
 
 async fn set(call: Call<SetFingerSet>) -> Result<Json<FingerSetAnswer>, Problem> {
     let (gripper, SetFingerSet { id, maintenance_cycles, maintenance_travel_m, reset }) = call.gripper_and_fields()?;
-    let cycles = |cycles| integer("maintenance_cycles", cycles, 1..=MAX_CYCLES);
-    let is_wrong = |travel_m: &f64| !(MIN_TRAVEL_M..=MAX_TRAVEL_M).contains(travel_m);
-    if let Some(travel_m) = maintenance_travel_m.filter(is_wrong) {
+    if let Some(travel_m) = maintenance_travel_m
+        && !(MIN_TRAVEL_M..=MAX_TRAVEL_M).contains(&travel_m)
+    {
         return Err(Problem::out_of_range("maintenance_travel_m", travel_m, MIN_TRAVEL_M, MAX_TRAVEL_M));
     }
     let mounted = MountRequest {
         id: part_id("id", &id.to_string())?,
-        maintenance_cycles: maintenance_cycles.map(cycles).transpose()?,
+        maintenance_cycles: maintenance_cycles
+            .map(|cycles| integer("maintenance_cycles", cycles, 1..=MAX_CYCLES))
+            .transpose()?,
         maintenance_travel_m,
         reset,
     };

@@ -71,10 +71,16 @@ async fn info(call: Call<NoFields>) -> Result<Json<FingerAnswer>, Problem> {
     let gripper = call.gripper()?;
     let finger = call.finger()?;
     let NoFields {} = call.fields()?;
-    let take = |data| if let Data::FingerInfo(_, info) = data { Some(info) } else { None };
-    let info = ask(&gripper, wsg::Command::GetFingerInfo(finger), take).await?;
-    let take = |data| if let Data::FingerFlags(_, flags) = data { Some(flags) } else { None };
-    let flags = ask(&gripper, wsg::Command::GetFingerFlags(finger), take).await?;
+    let info = ask(&gripper, wsg::Command::GetFingerInfo(finger), |data| match data {
+        Data::FingerInfo(_, info) => Some(info),
+        _ => None,
+    })
+    .await?;
+    let flags = ask(&gripper, wsg::Command::GetFingerFlags(finger), |data| match data {
+        Data::FingerFlags(_, flags) => Some(flags),
+        _ => None,
+    })
+    .await?;
     Ok(Json(FingerAnswer {
         gripper: gripper.name(),
         finger: number(finger),
@@ -112,8 +118,11 @@ async fn data(call: Call<NoFields>) -> Result<Json<FingerDataAnswer>, Problem> {
     let gripper = call.gripper()?;
     let finger = call.finger()?;
     let NoFields {} = call.fields()?;
-    let take = |data| if let Data::FingerData(_, bytes) = data { Some(bytes) } else { None };
-    let data = ask(&gripper, wsg::Command::GetFingerData(finger), take).await?;
+    let data = ask(&gripper, wsg::Command::GetFingerData(finger), |data| match data {
+        Data::FingerData(_, bytes) => Some(bytes),
+        _ => None,
+    })
+    .await?;
     Ok(Json(FingerDataAnswer { gripper: gripper.name(), finger: number(finger), data: hex::encode(data) }))
 }
 

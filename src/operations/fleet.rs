@@ -137,12 +137,7 @@ async fn acknowledge(call: Call<FleetAcknowledge>) -> Result<Json<FleetAcknowled
     if !(1..=MAX_IDS).contains(&fast_stop_ids.len()) {
         return Err(Problem::malformed("fast_stop_ids", format!("fast_stop_ids must have 1 to {MAX_IDS} ids")));
     }
-    let parsed = |id: String| {
-        let malformed = |error: uuid::Error| format!("fast_stop_ids has {id:?}, which is not a UUID: {error}");
-        let id = id.parse::<FastStopId>();
-        id.map(|id| id.to_string()).map_err(|error| Problem::malformed("fast_stop_ids", malformed(error)))
-    };
-    let ids: BTreeSet<String> = fast_stop_ids.into_iter().map(parsed).collect::<Result<_, _>>()?;
+    let ids: BTreeSet<String> = fast_stop_ids.iter().map(|id| normalized(id)).collect::<Result<_, _>>()?;
     let latched = call.gateway.peers.grippers().into_iter().filter_map(|gripper| {
         let id = gripper.fast_stop_id().filter(|id| ids.contains(&id.to_string()))?;
         Some((gripper.name(), id))
@@ -165,15 +160,24 @@ async fn acknowledge(call: Call<FleetAcknowledge>) -> Result<Json<FleetAcknowled
     Ok(Json(answer))
 }
 
+/// Returns a FAST STOP's id in the form in which the gateways write it.
+fn normalized(id: &str) -> Result<String, Problem> {
+    match id.parse::<FastStopId>() {
+        Ok(id) => Ok(id.to_string()),
+        Err(error) => {
+            let detail = format!("fast_stop_ids has {id:?}, which is not a UUID: {error}");
+            Err(Problem::malformed("fast_stop_ids", detail))
+        }
+    }
+}
+
 async fn acknowledge_one<P>(call: &Call<P>, gateway: &str, gripper: &str, id: FastStopId) -> Result<(), Box<RawValue>> {
-    let raw = |problem: Problem| to_raw_value(problem.members()).unwrap_or_default();
     let client = call.caller.client.clone();
-    let unknown = || raw(Problem::not_found("gripper with this name"));
-    let gateway: Name = gateway.parse().map_err(|_| unknown())?;
-    let gripper: Name = gripper.parse().map_err(|_| unknown())?;
+    let gateway: Name = gateway.parse().map_err(|_| no_gripper())?;
+    let gripper: Name = gripper.parse().map_err(|_| no_gripper())?;
     if call.gateway.peers.is_own(&gateway) {
-        let handle = call.gateway.grippers.get(&gripper).ok_or_else(unknown)?;
-        return handle.acknowledge(id, client).await.map_err(|rejection| raw(rejection.into()));
+        let handle = call.gateway.grippers.get(&gripper).ok_or_else(no_gripper)?;
+        return handle.acknowledge(id, client).await.map_err(|rejection| raw(&Problem::from(rejection)));
     }
     let ask = PeerRequest {
         gateway: gateway.clone(),
@@ -188,8 +192,16 @@ async fn acknowledge_one<P>(call: &Call<P>, gateway: &str, gripper: &str, id: Fa
     match call.gateway.peers.ask(ask).await {
         Ok(Ok(_)) => Ok(()),
         Ok(Err((_, problem))) => Err(problem),
-        Err(why) => Err(raw(no_answer(&gateway, why))),
+        Err(why) => Err(raw(&no_answer(&gateway, why))),
     }
+}
+
+fn no_gripper() -> Box<RawValue> {
+    raw(&Problem::not_found("gripper with this name"))
+}
+
+fn raw(problem: &Problem) -> Box<RawValue> {
+    to_raw_value(problem.members()).unwrap_or_default()
 }
 
 /// The problem of a gateway that did not answer.

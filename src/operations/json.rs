@@ -158,17 +158,13 @@ fn without_position(error: &serde_json::Error) -> String {
 /// Returns the field that an error is about, and a description. Only the parser's text has the name of a missing,
 /// unknown or duplicate field; all other errors concern the field at `path`.
 fn describe(text: &str, path: Option<&str>) -> Option<(String, String)> {
-    let named = |start: &str| {
-        let (field, rest) = text.strip_prefix(start)?.split_once('`')?;
-        Some((field.chars().take(MAX_FIELD_CHARS).collect::<String>(), rest))
-    };
-    if let Some((field, _)) = named("missing field `") {
+    if let Some((field, _)) = field_after("missing field `", text) {
         return Some((field.clone(), format!("{field} is missing")));
     }
-    if let Some((field, _)) = named("duplicate field `") {
+    if let Some((field, _)) = field_after("duplicate field `", text) {
         return Some((field.clone(), format!("{field} is given more than once")));
     }
-    if let Some((field, rest)) = named("unknown field `") {
+    if let Some((field, rest)) = field_after("unknown field `", text) {
         let known = rest.strip_prefix(", expected ").map(|known| known.trim_start_matches("one of ").replace('`', ""));
         let known = known.map_or_else(|| "no field is allowed here".to_owned(), |known| format!("known: {known}"));
         return Some((field.clone(), format!("unknown field {field}; {known}")));
@@ -177,6 +173,12 @@ fn describe(text: &str, path: Option<&str>) -> Option<(String, String)> {
     let must_be = text.split_once("expected ").map(|(_, expected)| words(expected));
     let detail = must_be.map_or_else(|| format!("{field}: {text}"), |must_be| format!("{field} must be {must_be}"));
     Some((field, detail))
+}
+
+/// Returns the field that the parser's text names after `start`, and the rest of the text.
+fn field_after<'a>(start: &str, text: &'a str) -> Option<(String, &'a str)> {
+    let (field, rest) = text.strip_prefix(start)?.split_once('`')?;
+    Some((field.chars().take(MAX_FIELD_CHARS).collect(), rest))
 }
 
 /// Name of an expected type, in JSON's terms instead of Rust's.

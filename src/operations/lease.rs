@@ -112,11 +112,10 @@ async fn take(call: Call<Take>) -> Result<OrWaiting<Lease>, Problem> {
     if body.force {
         call.require(Right::Supervise)?;
     }
-    let ttl = |ttl_ms| integer("ttl_ms", ttl_ms, MIN_TTL.as_millis() as u64..=MAX_TTL.as_millis() as u64);
     let holder = body.holder.as_deref().filter(|holder| !holder.is_empty());
     let take = TakeLease {
         holder: holder.map(|given| name("holder", given)).transpose()?,
-        ttl: body.ttl_ms.map(ttl).transpose()?.map(Duration::from_millis),
+        ttl: body.ttl_ms.map(ttl).transpose()?,
         on_loss_moving: body.on_loss_moving,
         on_loss_holding: body.on_loss_holding,
         force: body.force,
@@ -137,6 +136,12 @@ async fn take(call: Call<Take>) -> Result<OrWaiting<Lease>, Problem> {
     let keep = keep.filter(|_| !has_ttl);
     let leased = ConnectionLease::new(handle, &lease, times_taken, keep);
     OrWaiting::new(&lease, leased.map_or(Effect::None, |lease| Effect::Leased(Arc::new(lease))))
+}
+
+/// Checks a lease's time to live.
+fn ttl(ms: f64) -> Result<Duration, Problem> {
+    let ms = integer("ttl_ms", ms, MIN_TTL.as_millis() as u64..=MAX_TTL.as_millis() as u64)?;
+    Ok(Duration::from_millis(ms))
 }
 
 async fn renew(call: Call<Leased>) -> LeaseResult {

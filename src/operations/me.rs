@@ -61,10 +61,12 @@ fn me(call: &Call<NoFields>) -> Result<Json<Me>, Problem> {
     let Identity { name, role, expires_at, proof, scope, .. } = call.caller.identity.clone()?;
     // Reads are not limited to the credential's grippers.
     let elsewhere = role.has(Right::Read).then_some(Role::Observer);
-    let role_for = |gripper: &Name| if scope.contains(Some(gripper)) { Some(role) } else { elsewhere };
-    let grippers = call.gateway.grippers.all();
-    let grippers = grippers.iter().map(crate::gripper::Handle::name);
-    let grippers = grippers.map(|name| GripperRole { gripper: name.clone(), role: role_for(name) }).collect();
+    let mut grippers = Vec::new();
+    for gripper in call.gateway.grippers.all() {
+        let name = gripper.name();
+        let role = if scope.contains(Some(name)) { Some(role) } else { elsewhere };
+        grippers.push(GripperRole { gripper: name.clone(), role });
+    }
     let subject = call.caller.client.subject.clone();
     let expires_at = expires_at.map(|at| format!("{at:.3}"));
     Ok(Json(Me { name, subject, role, proof, grippers, expires_at }))

@@ -274,9 +274,10 @@ async fn submit<P: ActionFields + KeyFields + DeserializeOwned>(
     }
     let gripper = call.gripper()?;
     let wait = call.wait(DEFAULT_WAIT_MS)?;
-    let parsed = parse(&call);
-    let fallback = |problem| Ok::<_, Problem>((RequestKeys::default(), P::FALLBACK.ok_or(problem)?));
-    let (keys, action) = parsed.or_else(fallback)?;
+    let (keys, action) = match parse(&call) {
+        Ok(parsed) => parsed,
+        Err(problem) => (RequestKeys::default(), P::FALLBACK.ok_or(problem)?),
+    };
     let (command, ticket) = commands::submit(gripper, keys, action, &wait).await?;
     commands::reply_with(&command, ticket)
 }

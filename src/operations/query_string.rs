@@ -70,14 +70,15 @@ impl QueryString {
         parse: impl FnOnce(&str) -> Option<T>,
     ) -> Result<Option<T>, Problem> {
         let Some(text) = self.one(name)? else { return Ok(None) };
-        let wrong = || Problem::malformed(name, format!("{name} must be {what}")).value(Some(text.into()));
-        parse(text).map(Some).ok_or_else(wrong)
+        match parse(text) {
+            Some(value) => Ok(Some(value)),
+            None => Err(Problem::malformed(name, format!("{name} must be {what}")).value(Some(text.into()))),
+        }
     }
 
     /// Parses one of an enumeration's words.
     pub fn word<T: DeserializeOwned + Serialize + VariantArray>(&self, name: &str) -> Result<Option<T>, Problem> {
-        let parse = |text: &str| serde_json::from_value(Value::from(text)).ok();
-        self.parsed(name, &format!("one of {}", words::<T>()), parse)
+        self.parsed(name, &format!("one of {}", words::<T>()), |text| serde_json::from_value(Value::from(text)).ok())
     }
 
     pub fn time(&self, name: &str) -> Result<Option<Timestamp>, Problem> {

@@ -172,13 +172,13 @@ fn verbatim(id: u8, payload: Vec<u8>) -> Result<wsg::Command, Problem> {
     if wsg::id::describe(id).is_none() {
         return parsed(id, &payload);
     }
-    let cannot = || {
+    let Some(command) = wsg::VerbatimCommand::new(id, payload) else {
         let detail = format!(
             "{id:02X}h cannot be sent with `exact`: it moves, stops, acknowledges, disconnects, or has automatic updates"
         );
-        Problem::malformed("id", detail)
+        return Err(Problem::malformed("id", detail));
     };
-    wsg::VerbatimCommand::new(id, payload).map(wsg::Command::Verbatim).ok_or_else(cannot)
+    Ok(wsg::Command::Verbatim(command))
 }
 
 fn of_command(id: u8, command: CommandReport) -> Result<OrRunning<RawAnswer>, Problem> {

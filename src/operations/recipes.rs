@@ -211,8 +211,10 @@ async fn set_several(call: Call<SetRecipes>) -> Result<Json<RecipeList>, Problem
     for (index, given) in given.into_iter().enumerate() {
         let place = format!("recipes[{index}].");
         let field = format!("{place}part_id");
-        let missing = || Problem::malformed(&field, format!("{field} is missing"));
-        let part_id = part_id(&field, &given.part_id.as_ref().ok_or_else(missing)?.to_string())?;
+        let Some(part) = &given.part_id else {
+            return Err(Problem::malformed(&field, format!("{field} is missing")));
+        };
+        let part_id = part_id(&field, &part.to_string())?;
         if !parts.insert(part_id.as_str().to_owned()) {
             return Err(Problem::malformed(&field, format!("{field}: an earlier recipe is of the same part")));
         }

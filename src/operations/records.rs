@@ -14,7 +14,7 @@ use super::query_string::QueryString;
 use super::values::{integer, text};
 use crate::fleet::{EVENTS, GRIPS};
 use crate::journal::{Cursor, EventKind, Filter, Limit, Page, Query};
-use crate::model::{Code, Event, GripRecord, Kind};
+use crate::model::{Code, Event, GripRecord, Kind, PartId};
 
 /// Digits of the largest accepted cursor, beyond the events that any journal will have.
 const MAX_CURSOR_DIGITS: usize = 18;
@@ -138,10 +138,7 @@ impl RecordList {
         let journal = &gateway.journal;
         Ok(match self {
             Self::Events => journal.events(query(uri, &["command_id"], |kind: Option<EventKind>| kind)?).await?,
-            Self::Grips => {
-                let kind = |kinds: Option<GripKinds>| -> Option<Kind> { kinds.unwrap_or_default().into() };
-                journal.grips(query(uri, &[], kind)?).await?
-            }
+            Self::Grips => journal.grips(query(uri, &[], kind_of_grips)?).await?,
         })
     }
 
@@ -159,6 +156,10 @@ impl RecordList {
     }
 }
 
+fn kind_of_grips(kinds: Option<GripKinds>) -> Option<Kind> {
+    kinds.unwrap_or_default().into()
+}
+
 /// Parses a request's query. `kind` maps the word that it gives to the kind of the records.
 fn query<W: DeserializeOwned + Serialize + VariantArray, K>(
     uri: &Uri,
@@ -172,13 +173,12 @@ fn query<W: DeserializeOwned + Serialize + VariantArray, K>(
         Some(number) => Limit::new(integer("limit", number, 1..=1000)?).unwrap_or_default(),
         None => Limit::default(),
     };
-    let part = |field| given.one(field)?.map(|part| text(field, part)).transpose();
     Ok(Query {
         filter: Filter {
             gripper: given.parsed("gripper", "a gripper's name", |text| text.parse().ok())?,
             kind: kind(given.word("kind")?),
-            part_id: part("part_id")?,
-            part_prefix: part("part_prefix")?,
+            part_id: part(&given, "part_id")?,
+            part_prefix: part(&given, "part_prefix")?,
             outcome: given.word("outcome")?,
             command_id: given.parsed("command_id", "a command's id, a UUID", |text| text.parse().ok())?,
         },
@@ -190,14 +190,18 @@ fn query<W: DeserializeOwned + Serialize + VariantArray, K>(
     })
 }
 
+fn part(given: &QueryString, field: &str) -> Result<Option<PartId>, Problem> {
+    given.one(field)?.map(|part| text(field, part)).transpose()
+}
+
 fn cursor(text: &str) -> Option<Cursor> {
     let is_ours = text.len() <= MAX_CURSOR_DIGITS && text.bytes().all(|byte| byte.is_ascii_digit());
     is_ours.then(|| text.parse().ok()).flatten()
 }
 
 fn raw(page: &Page) -> Result<Vec<&RawValue>, Problem> {
-    let damaged = |error| Problem::new(Code::JournalDown, format!("a record of the journal is damaged: {error}"));
-    page.bodies.iter().map(|body| serde_json::from_str(body).map_err(damaged)).collect()
+    let records: Result<Vec<&RawValue>, _> = page.bodies.iter().map(|body| serde_json::from_str(body)).collect();
+    records.map_err(|error| Problem::new(Code::JournalDown, format!("a record of the journal is damaged: {error}")))
 }
 
 /// Cursor of the next page, or of later records.

@@ -36,10 +36,12 @@ async fn reload(call: Call<NoFields>) -> Result<Json<Reloaded>, Problem> {
     let NoFields {} = call.fields()?;
     let (answer, answered) = oneshot::channel();
     let request = ReloadRequest { client: call.caller.client.clone(), answer };
-    let full = |_: ReloadRequest| Problem::new(Code::Overloaded, "too many reloads are waiting: try again later");
-    call.gateway.reloads.request(request).map_err(full)?;
-    let ended = |_| Problem::new(Code::Overloaded, "the gateway is shutting down, so it does not reload");
-    let changes = answered.await.map_err(ended)?;
+    if call.gateway.reloads.request(request).is_err() {
+        return Err(Problem::new(Code::Overloaded, "too many reloads are waiting: try again later"));
+    }
+    let changes = answered
+        .await
+        .map_err(|_| Problem::new(Code::Overloaded, "the gateway is shutting down, so it does not reload"))?;
     let changes = changes.map_err(|cause| Problem::new(Code::InvalidConfiguration, cause))?;
     Ok(Json(Reloaded { changes }))
 }

@@ -42,8 +42,9 @@ impl RequestedRecipe {
             Some(number) => {
                 let found =
                     u8::try_from(number).ok().and_then(RecipeNumber::new).and_then(|one| recipes.of_number(one));
-                let unknown = || Problem::not_found(format!("recipe {number}: GET /recipes lists all")).field("recipe");
-                Some(found.ok_or_else(unknown)?)
+                Some(found.ok_or_else(|| {
+                    Problem::not_found(format!("recipe {number}: GET /recipes lists all")).field("recipe")
+                })?)
             }
             None if is_complete => None,
             None => part_id.as_ref().and_then(|part_id| recipes.of_part(part_id)),
@@ -55,9 +56,11 @@ impl RequestedRecipe {
             let detail = format!("the recipe does not have the expected recipe_version: {found}. Read it again");
             return Err(Problem::new(Code::PreconditionFailed, detail).field("recipe_version"));
         }
-        let gripper = call.params.gripper();
-        let values_of = |one: &RecipeVersion| gripper.map_or(one.recipe.values, |name| one.recipe.values_for(&name));
-        let values = recipe.as_deref().map(values_of).unwrap_or_default();
+        let values = match (&recipe, call.params.gripper()) {
+            (Some(one), Some(gripper)) => one.recipe.values_for(&gripper),
+            (Some(one), None) => one.recipe.values,
+            (None, _) => RecipeValues::default(),
+        };
         let part_id = part_id.or_else(|| recipe.as_ref().map(|one| one.recipe.part_id.clone()));
         Ok(Self { part_id, recipe, values })
     }
@@ -69,14 +72,17 @@ impl RequestedRecipe {
 
     /// Returns a value that the request or the recipe must have.
     pub fn required(&self, field: &str, value: Option<f64>) -> Result<f64, Problem> {
-        let missing = || match (&self.recipe, &self.part_id) {
+        if let Some(value) = value {
+            return Ok(value);
+        }
+        let detail = match (&self.recipe, &self.part_id) {
             (Some(one), _) => format!("{field} is missing in the request and in recipe {}", one.recipe.number),
             (None, Some(part_id)) => {
                 format!("{field} is missing: send it, since no recipe is used for part {:?}", part_id.as_str())
             }
             (None, None) => format!("{field} is missing: send it, or send part_id or recipe"),
         };
-        value.ok_or_else(|| Problem::malformed(field, missing()))
+        Err(Problem::malformed(field, detail))
     }
 
     /// Returns the recipe as the gripper's actor applies it.

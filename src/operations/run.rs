@@ -1,5 +1,6 @@
 //! Running an operation for a caller.
 
+use std::collections::BTreeMap;
 use std::future::ready;
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
@@ -118,8 +119,10 @@ fn resolve(method: Method, params: Value) -> Result<(&'static Operation, Params)
         _ => return Err(Problem::malformed("params", "params must be an object, not an array or a single value")),
     };
     let operation = method.operations().find(|operation| is_addressed(operation, &object)).unwrap_or(method.shared());
-    let part = |key| Ok((key, path_part(key, object.remove(key))?));
-    let path = operation.path_parameters().map(part).collect::<Result<_, Problem>>()?;
+    let mut path = BTreeMap::new();
+    for key in operation.path_parameters() {
+        path.insert(key, path_part(key, object.remove(key))?);
+    }
     Ok((operation, Params { path, fields: Fields::Object(object), ..Params::default() }))
 }
 
@@ -136,11 +139,14 @@ fn path_part(key: &str, value: Option<Value>) -> Result<String, Problem> {
             .to_string(),
         _ => return Err(Problem::malformed(key, format!("{key} is missing"))),
     };
-    let is_name = |byte: u8| byte.is_ascii_alphanumeric() || matches!(byte, b'-' | b'_');
-    if key != PART_ID && (part.is_empty() || !part.bytes().all(is_name)) {
+    if key != PART_ID && (part.is_empty() || !part.bytes().all(is_name_byte)) {
         return Err(Problem::not_found(format!("such {key}")).field(key));
     }
     Ok(part)
+}
+
+fn is_name_byte(byte: u8) -> bool {
+    byte.is_ascii_alphanumeric() || matches!(byte, b'-' | b'_')
 }
 
 #[cfg(test)]

@@ -210,12 +210,12 @@ pub struct SoftLimitsSetting {
 }
 
 async fn exchange_soft_limits(gripper: Gripper, command: wsg::Command) -> SettingResult<SoftLimitsAnswer> {
-    let take = |data| match data {
+    let reply = ask(&gripper, command, |data| match data {
         Data::SoftLimits(value) => Some(Some(value)),
         Data::None => Some(None),
         _ => None,
-    };
-    let value = none_if_not_available(ask(&gripper, command, take).await)?;
+    });
+    let value = none_if_not_available(reply.await)?;
     Ok(Json(SoftLimitsAnswer {
         gripper: gripper.name(),
         minus_mm: value.map(|limits| limits.minus().mm()),
@@ -314,12 +314,12 @@ pub struct TagSetting {
 }
 
 async fn exchange_tag(gripper: Gripper, command: wsg::Command) -> SettingResult<TagAnswer> {
-    let take = |data| match data {
+    let reply = ask(&gripper, command, |data| match data {
         Data::DeviceTag(tag) => Some(Some(tag)),
         Data::None => Some(None),
         _ => None,
-    };
-    let tag = none_if_not_available(ask(&gripper, command, take).await)?;
+    });
+    let tag = none_if_not_available(reply.await)?;
     Ok(Json(TagAnswer { gripper: gripper.name(), tag: tag.map(|tag| tag.text()) }))
 }
 
@@ -331,16 +331,19 @@ async fn get_tag(call: Call<NoFields>) -> SettingResult<TagAnswer> {
 async fn set_tag(call: Call<TagSetting>) -> SettingResult<TagAnswer> {
     let (gripper, TagSetting { tag, lease }) = call.gripper_and_fields()?;
     let gripper = gripper.with_lease(lease.as_deref())?;
-    let refused = |error: InvalidDeviceTag| match error {
-        InvalidDeviceTag::TooLong => Problem::too_long("tag", tag.chars().count(), DeviceTag::MAX_BYTES),
-        InvalidDeviceTag::IllegalCharacter => {
-            Problem::new(Code::Malformed, error.to_string()).field("tag").value(Some(tag.clone().into()))
-        }
-    };
-    let new = DeviceTag::from_text(&tag).map_err(refused)?;
+    let new = DeviceTag::from_text(&tag).map_err(|error| refused_tag(&tag, error))?;
     // fw2 strips trailing NULs, so a tag that ends in them is refused rather than changed.
     if tag.ends_with('\0') || (!new.is_ascii() && gripper.handle.info().demands_ascii_tags()) {
-        return Err(refused(InvalidDeviceTag::IllegalCharacter));
+        return Err(refused_tag(&tag, InvalidDeviceTag::IllegalCharacter));
     }
     exchange_tag(gripper, wsg::Command::SetDeviceTag(new)).await
+}
+
+fn refused_tag(tag: &str, error: InvalidDeviceTag) -> Problem {
+    match error {
+        InvalidDeviceTag::TooLong => Problem::too_long("tag", tag.chars().count(), DeviceTag::MAX_BYTES),
+        InvalidDeviceTag::IllegalCharacter => {
+            Problem::new(Code::Malformed, error.to_string()).field("tag").value(Some(tag.into()))
+        }
+    }
 }

@@ -167,11 +167,7 @@ async fn statistics(call: Call<StatisticsFields>) -> Result<Json<StatisticsOfGri
 fn query(fields: StatisticsFields) -> Result<StatisticsQuery, Problem> {
     let part_id: Option<PartId> = fields.part_id.map(|given| part_id("part_id", &given.to_string())).transpose()?;
     let gripper = fields.gripper.map(|given| gripper_or_gateway("gripper", &given));
-    let window = fields.window.map(|given| {
-        let wrong = || Problem::malformed("window", "window must be a number of grips");
-        integer("window", given.to_string().parse().map_err(|_| wrong())?, 1..=MAX_WINDOW)
-    });
-    let window = window.transpose()?;
+    let window = fields.window.as_ref().map(window).transpose()?;
     if window.is_some() && part_id.is_none() {
         return Err(Problem::malformed("window", "window needs a part_id: only the grips of one part are in order"));
     }
@@ -188,33 +184,38 @@ fn query(fields: StatisticsFields) -> Result<StatisticsQuery, Problem> {
     })
 }
 
+fn window(given: &TextOrNumber) -> Result<u64, Problem> {
+    let number = given.to_string().parse::<f64>();
+    let number = number.map_err(|_| Problem::malformed("window", "window must be a number of grips"))?;
+    integer("window", number, 1..=MAX_WINDOW)
+}
+
 fn time(field: &str, given: Option<&str>) -> Result<Option<Timestamp>, Problem> {
-    let wrong = |text: &str| {
+    let Some(text) = given else { return Ok(None) };
+    text.parse::<Timestamp>().map(Some).map_err(|_| {
         Problem::malformed(field, format!("{field} must be a time like 2026-11-21T09:00:00Z (RFC 3339)"))
             .value(Some(text.into()))
-    };
-    given.map(|text| text.parse().map_err(|_| wrong(text))).transpose()
+    })
 }
 
 fn report<P>(call: &Call<P>, query: &StatisticsQuery, statistics: &GripStatistics) -> StatisticsOfGrips {
     let count = statistics.count();
-    let share = |(outcome, number): (&&'static str, &u64)| OutcomeShare {
+    let outcomes = statistics.outcomes.iter().map(|(outcome, number)| OutcomeShare {
         outcome,
         count: *number,
         rate: *number as f64 / count as f64,
-    };
+    });
     let recipe = query.part_id.as_ref().and_then(|part_id| call.gateway.recipes.of_part(part_id));
     let values = recipe.as_ref().map(|version| match &query.gripper {
         Some(gripper) => version.recipe.values_for(gripper),
         None => version.recipe.values,
     });
     let values = values.unwrap_or_default();
-    let at = |ms: i64| Timestamp::from_millisecond(ms).ok();
     StatisticsOfGrips {
         count,
-        outcomes: statistics.outcomes.iter().map(share).collect(),
-        first_at: statistics.times.and_then(|(oldest, _)| at(oldest)),
-        last_at: statistics.times.and_then(|(_, newest)| at(newest)),
+        outcomes: outcomes.collect(),
+        first_at: statistics.times.and_then(|(oldest, _)| Timestamp::from_millisecond(oldest).ok()),
+        last_at: statistics.times.and_then(|(_, newest)| Timestamp::from_millisecond(newest).ok()),
         cpk: cpk(&statistics.contact_width_mm, values.accept_min_mm, values.accept_max_mm),
         contact_width_mm: statistics.contact_width_mm.into(),
         force_n: statistics.force_n.into(),

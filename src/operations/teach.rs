@@ -92,19 +92,19 @@ async fn teach(call: Call<Teach>) -> Result<Json<ProposedLimits>, Problem> {
     };
     let limit = Limit::new(last).unwrap_or_default();
     let page = call.gateway.journal.grips(GripQuery { filter, limit, ..GripQuery::default() }).await?;
-    let width = |body: &_| serde_json::from_str::<GripWidth>(body).ok()?.contact_width_mm;
-    let widths: Distribution = page.bodies.iter().filter_map(|body| width(body.as_ref())).collect();
+    let widths = page.bodies.iter().filter_map(|body| serde_json::from_str::<GripWidth>(body).ok()?.contact_width_mm);
+    let widths: Distribution = widths.collect();
     let (Some(mean_mm), Some(standard_deviation_mm)) = (widths.mean(), widths.standard_deviation()) else {
         let detail = "fewer than two grips held this part: grip some good parts with its part_id first";
         return Err(Problem::new(Code::NotFound, detail).field("part_id"));
     };
     let distance_mm = (k * standard_deviation_mm).max(RESOLUTION_MM);
-    let limit = |mm: f64| mm.clamp(0.0, f64::from(WIDEST_MM));
+    let widest_mm = f64::from(WIDEST_MM);
     Ok(Json(ProposedLimits {
         count: widths.count,
         mean_mm,
         standard_deviation_mm,
-        accept_min_mm: limit(mean_mm - distance_mm),
-        accept_max_mm: limit(mean_mm + distance_mm),
+        accept_min_mm: (mean_mm - distance_mm).clamp(0.0, widest_mm),
+        accept_max_mm: (mean_mm + distance_mm).clamp(0.0, widest_mm),
     }))
 }

@@ -127,10 +127,13 @@ pub enum TextOrNumber {
 /// Parses a whole number, also in the form `7.0`.
 fn whole<'de, D: Deserializer<'de>>(deserializer: D) -> Result<i64, D::Error> {
     let number = Number::deserialize(deserializer)?;
-    let float = || {
-        number.as_f64().filter(|float| float.fract() == 0.0 && float.abs() < i64::MAX as f64).map(|float| float as i64)
-    };
-    number.as_i64().or_else(float).ok_or_else(|| D::Error::custom("not a whole number"))
+    if let Some(whole) = number.as_i64() {
+        return Ok(whole);
+    }
+    match number.as_f64() {
+        Some(float) if float.fract() == 0.0 && float.abs() < i64::MAX as f64 => Ok(float as i64),
+        _ => Err(D::Error::custom("not a whole number")),
+    }
 }
 
 impl fmt::Display for TextOrNumber {
@@ -153,10 +156,9 @@ pub fn required_text_or_number(max_bytes: usize, description: &str) -> OneOfBuil
 }
 
 fn texts_and_numbers(min_bytes: Option<usize>, max_bytes: usize, description: &str) -> OneOfBuilder {
-    let object = |kind| ObjectBuilder::new().schema_type(kind);
-    let text = object(Type::String).min_length(min_bytes).max_length(Some(max_bytes));
+    let text = ObjectBuilder::new().schema_type(Type::String).min_length(min_bytes).max_length(Some(max_bytes));
     let text = text.pattern(Some(r"^[^\u0000-\u001f\u007f-\u009f]*$"));
-    let number = object(Type::Integer).minimum(Some(i64::MIN)).maximum(Some(i64::MAX));
+    let number = ObjectBuilder::new().schema_type(Type::Integer).minimum(Some(i64::MIN)).maximum(Some(i64::MAX));
     OneOfBuilder::new().item(text).item(number).description(Some(description))
 }
 

@@ -90,20 +90,23 @@ impl WebhookReport {
             retry_at,
             failing_since: _,
         } = webhook.progress();
-        let text = |at: Option<Timestamp>| at.map(|at| format!("{at:.3}"));
         Self {
             name: webhook.name().to_string(),
             origin: webhook.receiver().to_string(),
             kinds: webhook.kinds().map(<[_]>::to_vec),
             position,
             waiting: webhook.waiting(),
-            last_success_at: text(last_success_at),
-            last_error_at: text(last_error_at),
+            last_success_at: last_success_at.map(with_milliseconds),
+            last_error_at: last_error_at.map(with_milliseconds),
             last_error,
             failed_attempts,
-            retry_at: text(retry_at),
+            retry_at: retry_at.map(with_milliseconds),
         }
     }
+}
+
+fn with_milliseconds(at: Timestamp) -> String {
+    format!("{at:.3}")
 }
 
 /// Result of a test delivery.

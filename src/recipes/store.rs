@@ -134,9 +134,13 @@ impl KnownRecipes {
         index: usize,
     ) -> Option<&'a PartId> {
         let earlier = recipes[..index].iter().find(|(earlier, _)| earlier.number == recipe.number);
-        let is_set = |part_id: &PartId| recipes.iter().any(|(other, _)| other.part_id == *part_id);
-        let current = || Some(&self.of_number(recipe.number)?.recipe.part_id).filter(|part_id| !is_set(part_id));
-        earlier.map(|(earlier, _)| &earlier.part_id).or_else(current)
+        if let Some((earlier, _)) = earlier {
+            return Some(&earlier.part_id);
+        }
+        let current = &self.of_number(recipe.number)?.recipe.part_id;
+        // The old number of a part that the same request sets does not count.
+        let is_set = recipes.iter().any(|(other, _)| other.part_id == *current);
+        if is_set { None } else { Some(current) }
     }
 
     fn change(
@@ -167,9 +171,9 @@ impl KnownRecipes {
         while self.versions.len() > MAX_VERSIONS {
             // The newest version stays, even if it is a removal: the next one continues from it.
             let newest = self.versions.last_key_value().map(|(newest, _)| *newest);
-            let is_old =
-                |version: &&u64| Some(**version) != newest && !self.current.values().any(|current| current == *version);
-            let Some(oldest) = self.versions.keys().find(is_old).copied() else { return };
+            let mut versions = self.versions.keys().copied().filter(|version| Some(*version) != newest);
+            let oldest = versions.find(|version| !self.current.values().any(|current| current == version));
+            let Some(oldest) = oldest else { return };
             self.versions.remove(&oldest);
         }
     }

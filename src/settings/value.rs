@@ -139,8 +139,8 @@ pub fn whole<T: 'static>(default: u64, WholeRange(range, rule): WholeRange, conv
 /// A whole number that is `None` if absent.
 pub fn optional_whole<T: 'static>(example: u64, range: WholeRange, convert: fn(u64) -> T) -> SettingValue<Option<T>> {
     let SettingValue { texts, read, .. } = whole(example, range, convert);
-    let read = move |key: &str, value: Spanned<DeValue<'_>>| read(key, value).map(Some);
-    SettingValue::new(None, &texts.example, &texts.range, read).shown("none", &texts.example)
+    SettingValue::new(None, &texts.example, &texts.range, move |key, value| read(key, value).map(Some))
+        .shown("none", &texts.example)
 }
 
 /// A number with decimals.
@@ -154,15 +154,16 @@ pub fn decimal(default: f64, range: RangeInclusive<f64>) -> SettingValue<f64> {
 
 /// A list of texts that a function checks. An error is at the text, and begins after the key.
 pub fn list<T: 'static>(range: &str, example: &str, parse: fn(&str) -> Result<T, String>) -> SettingValue<Vec<T>> {
-    let read = move |key: &str, value: Spanned<DeValue<'_>>| {
-        let texts: Vec<Spanned<String>> = deserialize(value)?;
-        let parse = |text: Spanned<String>| {
+    let setting = SettingValue::new(Vec::new(), "[]", range, move |key, value| {
+        let mut items = Vec::new();
+        for text in deserialize::<Vec<Spanned<String>>>(value)? {
             let offset = text.span().start;
-            parse(text.get_ref()).map_err(|detail| SettingError { offset, detail: format!("{key} {detail}") })
-        };
-        texts.into_iter().map(parse).collect()
-    };
-    SettingValue::new(Vec::new(), "[]", range, read).shown("`[]`", example)
+            let parsed = parse(text.get_ref());
+            items.push(parsed.map_err(|detail| SettingError { offset, detail: format!("{key} {detail}") })?);
+        }
+        Ok(items)
+    });
+    setting.shown("`[]`", example)
 }
 
 /// A section that is `None` if absent.

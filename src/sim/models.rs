@@ -66,9 +66,6 @@ impl Model {
                 Self::Wsg50 => [110.0, 5.0, 420.0, 100.0, 5000.0, 5.0, 80.0, 120.0],
                 Self::Wsg70 => [210.0, 5.0, 320.0, 50.0, 3000.0, 10.0, 140.0, 200.0],
             };
-        let speed = |value| Speed::new(value).unwrap_or(Speed::ZERO);
-        let acceleration = |value| Acceleration::new(value).unwrap_or(Acceleration::ZERO);
-        let force = |value| Force::new(value).unwrap_or(Force::ZERO);
         SystemLimits {
             stroke: Width::new(stroke).unwrap_or(Width::ZERO),
             min_speed: speed(min_speed),
@@ -80,4 +77,18 @@ impl Model {
             overdrive_force: force(overdrive),
         }
     }
+}
+
+// A quantity refuses only numbers that are not finite, and the models' limits are all finite.
+
+fn speed(mm_s: f32) -> Speed {
+    Speed::new(mm_s).unwrap_or(Speed::ZERO)
+}
+
+fn acceleration(mm_s2: f32) -> Acceleration {
+    Acceleration::new(mm_s2).unwrap_or(Acceleration::ZERO)
+}
+
+fn force(n: f32) -> Force {
+    Force::new(n).unwrap_or(Force::ZERO)
 }

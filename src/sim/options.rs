@@ -94,8 +94,9 @@ fn apply(config: &mut DeviceConfig, option: &str, value: &str) -> Option<()> {
         }
         "soft_limits_mm" => {
             let (minus, plus) = value.split_once("..")?;
-            let width = |text: &str| Width::new(within(text, stroke.clone())? as f32).ok();
-            config.soft_limits = Some(SoftLimits::new(width(minus)?, width(plus)?)?);
+            let minus = Width::new(within(minus, stroke.clone())? as f32).ok()?;
+            let plus = Width::new(within(plus, stroke)? as f32).ok()?;
+            config.soft_limits = Some(SoftLimits::new(minus, plus)?);
         }
         "device_tag" => {
             config.device_tag = Some(DeviceTag::from_text(value).ok()?).filter(|tag| !tag.is_empty());

@@ -24,19 +24,19 @@ impl Change {
     /// # Errors
     /// [`ImpossibleChange`] for the first field that is out of range.
     pub fn check(&self, limits: &SystemLimits) -> Result<(), ImpossibleChange> {
-        let width = |mm| within("width_mm", mm, [0.0, limits.stroke.mm().into()]);
+        let widths = [0.0, f64::from(limits.stroke.mm())];
         match *self {
             Self::PlacePart(part) => {
-                width(part.width_mm)?;
+                within("width_mm", part.width_mm, widths)?;
                 within("stiffness_n_mm", part.stiffness_n_mm, [SOFTEST_N_MM, RIGID_N_MM])
             }
-            Self::ResizePart { width_mm } | Self::PlaceObstacle { width_mm } => width(width_mm),
+            Self::ResizePart { width_mm } | Self::PlaceObstacle { width_mm } => within("width_mm", width_mm, widths),
             Self::Overheat { temperature_c } => within("temperature_c", temperature_c, TEMPERATURES_C),
             Self::FingerOverCurrent { finger, .. } | Self::FingerCommunicationFault { finger, .. } => {
                 within("finger", finger.into(), [1.0, 2.0])
             }
             Self::MoveBySomebody { width_mm, speed_mm_s } => {
-                width(width_mm)?;
+                within("width_mm", width_mm, widths)?;
                 let speeds = [limits.min_speed, limits.max_speed].map(|speed| speed.mm_s().into());
                 within("speed_mm_s", speed_mm_s, speeds)
             }

@@ -66,8 +66,10 @@ impl Device {
 
     pub(super) fn result(&mut self, ticket: PendingReply, reply: Reply) {
         let mut failed = reply.status() != Status::E_SUCCESS;
-        let possible = |kind| ticket.two_step || kind != FaultKind::PendingWithoutFinal;
-        match self.faults.take_if(ticket.id, FaultStage::Result, possible) {
+        let fault = self
+            .faults
+            .take_if(ticket.id, FaultStage::Result, |kind| ticket.two_step || kind != FaultKind::PendingWithoutFinal);
+        match fault {
             Some(FaultKind::PendingWithoutFinal) => {}
             Some(FaultKind::SilenceAfterAccept) => self.muted = true,
             Some(FaultKind::FinalStatus { code }) => {

@@ -67,19 +67,20 @@ impl Device {
     /// Answers the stop requests and the stopped motion, in the configured order.
     fn end_running(&mut self, stoppers: &[PendingReply], stopped_with: Status, result: Status) {
         let stopped = self.running.take().and_then(|running| running.ticket);
-        let answer = |device: &mut Self| {
-            for &ticket in stoppers {
-                device.result_status(ticket, stopped_with);
-            }
-        };
         if self.config.stop_answers_first {
-            answer(self);
+            self.answer_all(stoppers, stopped_with);
         }
         if let Some(ticket) = stopped {
             self.result_status(ticket, result);
         }
         if !self.config.stop_answers_first {
-            answer(self);
+            self.answer_all(stoppers, stopped_with);
+        }
+    }
+
+    fn answer_all(&mut self, tickets: &[PendingReply], status: Status) {
+        for &ticket in tickets {
+            self.result_status(ticket, status);
         }
     }
 

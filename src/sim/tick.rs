@@ -62,29 +62,28 @@ impl Device {
 
     fn fire(&mut self) {
         let now = self.clock;
-        let is_due = |at: Option<Instant>| at.is_some_and(|at| at <= now);
-        if is_due(self.booting_until) {
+        if is_due(self.booting_until, now) {
             self.booting_until = None;
             if self.has_fault() {
                 self.fast_stop();
             }
         }
-        if is_due(self.next_step) {
+        if is_due(self.next_step, now) {
             self.next_step = None;
             self.step();
         }
-        if is_due(self.current_fault_clears_at) {
+        if is_due(self.current_fault_clears_at, now) {
             (self.current_fault, self.current_fault_clears_at) = (false, None);
         }
-        if is_due(self.process.target_reached_at) {
+        if is_due(self.process.target_reached_at, now) {
             self.process.after_delay();
         }
         for index in 0..self.fingers.len() {
-            if is_due(self.fingers[index].powered_up_at) {
+            if is_due(self.fingers[index].powered_up_at, now) {
                 self.finger_is_up(index);
             }
         }
-        if is_due(self.decoder.deadline()) {
+        if is_due(self.decoder.deadline(), now) {
             self.give_up_overdue_request();
         }
         self.send_late();
@@ -140,4 +139,8 @@ impl Device {
         }
         self.overheated = is_critical;
     }
+}
+
+fn is_due(at: Option<Instant>, now: Instant) -> bool {
+    at.is_some_and(|at| at <= now)
 }

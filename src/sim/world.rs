@@ -97,8 +97,12 @@ impl Surfaces {
 
     /// Force in N on fingers at `position_mm`.
     pub fn force_n(&self, position_mm: f64) -> f64 {
-        let force = |direction| self.depth_mm(direction, position_mm).max(0.0) * self.against(direction).stiffness_n_mm;
-        force(AxisDirection::Closing).max(force(AxisDirection::Opening))
+        let closing_n = self.force_against_n(AxisDirection::Closing, position_mm);
+        closing_n.max(self.force_against_n(AxisDirection::Opening, position_mm))
+    }
+
+    fn force_against_n(&self, direction: AxisDirection, position_mm: f64) -> f64 {
+        self.depth_mm(direction, position_mm).max(0.0) * self.against(direction).stiffness_n_mm
     }
 }
 

@@ -52,14 +52,20 @@ fn ports(devices: &Path, classes: &Path) -> Vec<String> {
     let mut ports: Vec<_> = names(&by_id).iter().map(|name| by_id.join(name)).collect();
     let all = names(devices);
     for kind in SERIAL_NAMES {
-        let is_port = |name: &&String| {
-            let number = name.strip_prefix(kind).unwrap_or_default();
-            !number.is_empty() && number.bytes().all(|byte| byte.is_ascii_digit())
-        };
-        let has_hardware = |name: &&String| text(&classes.join(name).join("type")).as_deref() != Some(NO_HARDWARE);
-        ports.extend(all.iter().filter(is_port).filter(has_hardware).map(|name| devices.join(name)));
+        let found = all.iter().filter(|name| is_numbered(name, kind) && has_hardware(classes, name));
+        ports.extend(found.map(|name| devices.join(name)));
     }
     ports.iter().map(|port| port.display().to_string()).collect()
+}
+
+/// Whether a port's name is this kind and a number, e.g. ttyS0.
+fn is_numbered(name: &str, kind: &str) -> bool {
+    let number = name.strip_prefix(kind).unwrap_or_default();
+    !number.is_empty() && number.bytes().all(|byte| byte.is_ascii_digit())
+}
+
+fn has_hardware(classes: &Path, port: &str) -> bool {
+    text(&classes.join(port).join("type")).as_deref() != Some(NO_HARDWARE)
 }
 
 /// E.g. "available: can0 (down), vcan0".

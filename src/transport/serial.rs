@@ -96,12 +96,14 @@ impl SerialAddress {
         let path: Arc<str> = self.path.as_str().into();
         let reader = Reader { port: port.clone(), path: path.clone() };
         let unsent = port.clone();
-        let discard = move || {
-            // A port that is gone has nothing to send.
-            let _ = unsent.with(|port| port.clear(ClearBuffer::Output));
-        };
         let pipe = Pipe::new(reader, Writer { port, path, pacer });
-        Ok(Pipe { discard_unsent: Some(Box::new(discard)), ..pipe })
+        Ok(Pipe {
+            discard_unsent: Some(Box::new(move || {
+                // A port that is gone has nothing to send.
+                let _ = unsent.with(|port| port.clear(ClearBuffer::Output));
+            })),
+            ..pipe
+        })
     }
 
     fn open(&self) -> io::Result<SerialStream> {

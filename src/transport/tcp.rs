@@ -49,10 +49,12 @@ pub(super) async fn connect(addresses: &[SocketAddr], deadline: Instant) -> io::
     // A small urgent frame must not wait for the acknowledgement of the previous one.
     stream.set_nodelay(true)?;
     let socket = SockRef::from(&stream).try_clone()?;
-    let discard = move || {
-        // The end of the connection is then a reset, which a gripper takes for an end without an announcement.
-        let _ = socket.set_linger(Some(Duration::ZERO));
-    };
     let (reader, writer) = stream.into_split();
-    Ok(Pipe { discard_unsent: Some(Box::new(discard)), ..Pipe::new(reader, writer) })
+    Ok(Pipe {
+        discard_unsent: Some(Box::new(move || {
+            // The end of the connection is then a reset, which a gripper takes for an end without an announcement.
+            let _ = socket.set_linger(Some(Duration::ZERO));
+        })),
+        ..Pipe::new(reader, writer)
+    })
 }

@@ -248,12 +248,11 @@ impl GripperWear {
         }
         // The width of a wrong part says nothing about the fingers.
         let (Some(part_id), Some(width_mm), Outcome::PartHeld) = (part_id, contact_width_mm, outcome) else { return };
-        let is_it = |chart: &DriftChart| chart.kind == kind && chart.part_id == part_id;
-        let chart = self.charts.iter().position(is_it).map(|index| self.charts.remove(index));
+        let index = self.charts.iter().position(|chart| chart.kind == kind && chart.part_id == part_id);
+        let chart = index.map(|index| self.charts.remove(index));
         // A new version of the recipe can grip at another speed or force.
-        let is_other =
-            |chart: &DriftChart| chart.recipe_version.zip(recipe_version).is_some_and(|(known, given)| known != given);
-        let chart = chart.filter(|chart| !is_other(chart));
+        let chart =
+            chart.filter(|chart| chart.recipe_version.zip(recipe_version).is_none_or(|(known, given)| known == given));
         let mut chart = chart.unwrap_or_else(|| DriftChart::new(kind, part_id));
         chart.recipe_version = recipe_version.or(chart.recipe_version);
         chart.take(width_mm, limits);

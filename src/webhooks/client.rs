@@ -98,8 +98,8 @@ impl WebhookClient {
 
     /// Sends a request, and returns the status of an accepting response.
     pub(super) async fn send(&self, request: Request<Full<Bytes>>) -> Result<StatusCode, DeliveryFailure> {
-        let late = |_| DeliveryFailure::Late { receiver: self.receiver.clone() };
-        let response = timeout(ANSWERED_WITHIN, self.exchange(request)).await.map_err(late)??;
+        let exchanged = timeout(ANSWERED_WITHIN, self.exchange(request)).await;
+        let response = exchanged.map_err(|_| DeliveryFailure::Late { receiver: self.receiver.clone() })??;
         let status = response.status();
         let headers = response.headers();
         if status.is_success() {
@@ -113,19 +113,19 @@ impl WebhookClient {
         &self,
         request: Request<Full<Bytes>>,
     ) -> Result<http::Response<hyper::body::Incoming>, DeliveryFailure> {
-        let receiver = || self.receiver.clone();
-        let unreachable = |cause| DeliveryFailure::Unreachable { receiver: receiver(), cause };
-        let (host, port) = self.receiver.address();
-        let stream = connect_to_host(host, port, CONNECTED_WITHIN).await.map_err(unreachable)?;
-        let exchanged = match &self.receiver.tls_name {
+        let receiver = &self.receiver;
+        let (host, port) = receiver.address();
+        let stream = connect_to_host(host, port, CONNECTED_WITHIN).await;
+        let stream = stream.map_err(|cause| DeliveryFailure::Unreachable { receiver: receiver.clone(), cause })?;
+        let exchanged = match &receiver.tls_name {
             Some(name) => {
                 let stream = TlsConnector::from(self.tls.clone()).connect(name.clone(), stream).await;
-                let stream = stream.map_err(|cause| DeliveryFailure::Tls { receiver: receiver(), cause })?;
+                let stream = stream.map_err(|cause| DeliveryFailure::Tls { receiver: receiver.clone(), cause })?;
                 over(TokioIo::new(stream), request).await
             }
             None => over(TokioIo::new(stream), request).await,
         };
-        exchanged.map_err(|cause| DeliveryFailure::Response { receiver: receiver(), cause })
+        exchanged.map_err(|cause| DeliveryFailure::Response { receiver: receiver.clone(), cause })
     }
 }
 

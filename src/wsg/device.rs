@@ -84,6 +84,10 @@ impl Firmware {
     pub const fn major(self) -> u8 {
         (self.0 >> 12) as u8
     }
+
+    const fn nibble(self, shift: u16) -> u16 {
+        (self.0 >> shift) & 0xF
+    }
 }
 
 impl fmt::Display for Firmware {
@@ -91,9 +95,8 @@ impl fmt::Display for Firmware {
         if self.major() == 0 {
             return write!(f, "{}", self.0);
         }
-        let nibble = |shift: u16| (self.0 >> shift) & 0xF;
-        write!(f, "{}.{}.{}", nibble(12), nibble(8), nibble(4))?;
-        match nibble(0) {
+        write!(f, "{}.{}.{}", self.nibble(12), self.nibble(8), self.nibble(4))?;
+        match self.nibble(0) {
             0 => Ok(()),
             candidate => write!(f, "-rc{candidate}"),
         }

@@ -198,8 +198,7 @@ fn custom(name: &str, arguments: &[String]) -> Result<Command, InvalidText> {
             payload.extend_from_slice(&float.to_le_bytes());
         } else {
             let expected = "a byte (32 or 0x20), a float (150.0f) or a text in quotes";
-            let wrong = || InvalidText::Value { field: "payload".to_owned(), value: argument.clone(), expected };
-            payload.push(byte(argument).ok_or_else(wrong)?);
+            payload.push(byte(argument).ok_or_else(|| wrong("payload", argument, expected))?);
         }
     }
     match CustomCommand::new(id, payload.clone()) {
@@ -227,11 +226,14 @@ struct Fields {
 
 impl Fields {
     fn parse(command: &'static str, arguments: &[String]) -> Result<Self, InvalidText> {
-        let pair = |argument: &String| match argument.split_once('=') {
-            Some((field, value)) => Ok((field.to_owned(), value.trim_matches('"').to_owned())),
-            None => Err(InvalidText::UnknownField { command: command.to_owned(), field: argument.clone() }),
-        };
-        Ok(Self { command, pairs: arguments.iter().map(pair).collect::<Result<_, _>>()? })
+        let mut pairs = Vec::new();
+        for argument in arguments {
+            let Some((field, value)) = argument.split_once('=') else {
+                return Err(InvalidText::UnknownField { command: command.to_owned(), field: argument.clone() });
+            };
+            pairs.push((field.to_owned(), value.trim_matches('"').to_owned()));
+        }
+        Ok(Self { command, pairs })
     }
 
     fn optional(&mut self, field: &'static str) -> Option<String> {

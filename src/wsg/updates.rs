@@ -46,8 +46,8 @@ impl Subscriptions {
         self.0.retain(|subscription| subscription.id != id);
         if let Updates::On { on_change, period_ms } = updates {
             let period = Duration::from_millis(period_ms.max(MIN_PERIOD_MS).into());
-            let is_in_step = |other: &&Subscription| !on_change && !other.on_change && other.period == period;
-            let last_at = self.0.iter().find(is_in_step).map_or(now, |other| other.last_at);
+            let in_step = self.0.iter().find(|other| !on_change && !other.on_change && other.period == period);
+            let last_at = in_step.map_or(now, |other| other.last_at);
             self.0.push(Subscription { id, on_change, period, last_at, last: value });
             self.0.sort_by_key(|subscription| IDS.iter().position(|&id| id == subscription.id));
         }
@@ -72,13 +72,11 @@ impl Subscriptions {
     /// Time of the next update, given the current values from `read`. Never earlier than the period allows. Without
     /// `with_changes`, changes wait.
     pub fn due(&self, with_changes: bool, read: impl Fn(u8) -> Option<Data>) -> Option<Instant> {
-        let due = |subscription: &Subscription| {
-            let has_changed =
-                || with_changes && has_changed(subscription.last.as_ref(), read(subscription.id).as_ref());
-            let waits = subscription.on_change && !has_changed();
-            (!waits).then(|| subscription.last_at + subscription.period)
-        };
-        self.0.iter().filter_map(due).min()
+        let ready = self.0.iter().filter(|subscription| {
+            !subscription.on_change
+                || (with_changes && has_changed(subscription.last.as_ref(), read(subscription.id).as_ref()))
+        });
+        ready.map(|subscription| subscription.last_at + subscription.period).min()
     }
 
     /// Returns the updates due at `now`, with their values from `read`. An unknown value has none. Without

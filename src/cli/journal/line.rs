@@ -21,24 +21,38 @@ const SETTING_VALUES: [(&str, &str); 6] = [
 /// Formats a record's body.
 pub(super) fn of(body: &str) -> String {
     let record: Value = serde_json::from_str(body).unwrap_or_default();
-    let text = |field: &str| record[field].as_str().filter(|text| !text.is_empty());
-    let first = |fields: &[&str]| fields.iter().find_map(|field| text(field));
-    let time = first(&["at", "started_at"]).unwrap_or("-");
-    let what: Vec<_> = [text("kind"), text("command"), first(&SAYS_MORE)].into_iter().flatten().collect();
+    let time = first_text(&record, &["at", "started_at"]).unwrap_or("-");
+    let what = [text(&record, "kind"), text(&record, "command"), first_text(&record, &SAYS_MORE)];
+    let what: Vec<_> = what.into_iter().flatten().collect();
     let value = value_of_setting(&record);
     let changes: Vec<_> = record["changes"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
     let changes = Some(changes.join("; ")).filter(|changes| !changes.is_empty());
-    let end = [text("outcome"), text("part_id"), first(&SAYS_WHY), value.as_deref(), changes.as_deref()];
+    let end = [
+        text(&record, "outcome"),
+        text(&record, "part_id"),
+        first_text(&record, &SAYS_WHY),
+        value.as_deref(),
+        changes.as_deref(),
+    ];
     let end = end.into_iter().flatten();
     let line = format!(
         "{time:<24} {:>8}  {:<10} {:<22} {:<24} {}",
         record["seq"].to_string(),
-        text("gripper").unwrap_or("-"),
-        text("subject").unwrap_or("-"),
+        text(&record, "gripper").unwrap_or("-"),
+        text(&record, "subject").unwrap_or("-"),
         what.join(" "),
         end.collect::<Vec<_>>().join("  "),
     );
     line.trim_end().to_owned()
+}
+
+/// Returns a text of the record that is not empty.
+fn text<'a>(record: &'a Value, field: &str) -> Option<&'a str> {
+    record[field].as_str().filter(|text| !text.is_empty())
+}
+
+fn first_text<'a>(record: &'a Value, fields: &[&str]) -> Option<&'a str> {
+    fields.iter().find_map(|field| text(record, field))
 }
 
 /// Says what a setting was changed or restored to; `None` for other records and for settings without a value.

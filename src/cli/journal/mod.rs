@@ -143,8 +143,8 @@ impl Filters {
 
 /// Parses a flag's value by its name in JSON.
 fn value<T: DeserializeOwned>(flag: &str, text: Option<&String>) -> anyhow::Result<Option<T>> {
-    let parse = |text: &String| serde_json::from_value(text.clone().into()).with_context(|| format!("{flag} {text}"));
-    text.map(parse).transpose()
+    let Some(text) = text else { return Ok(None) };
+    serde_json::from_value::<T>(text.clone().into()).map(Some).with_context(|| format!("{flag} {text}"))
 }
 
 pub(super) fn run(journal: &JournalArgs, out: impl Write) -> anyhow::Result<()> {

@@ -123,8 +123,10 @@ async fn change(State(devices): Devices, Path(index): Path<usize>, body: Bytes) 
 }
 
 fn find(devices: &[ServedDevice], index: usize) -> Result<&ServedDevice, Refusal> {
-    let there_are = || format!("no device {index}: there are {}, counted from 0\n", devices.len());
-    devices.get(index).ok_or_else(|| (StatusCode::NOT_FOUND, there_are()))
+    devices.get(index).ok_or_else(|| {
+        let detail = format!("no device {index}: there are {}, counted from 0\n", devices.len());
+        (StatusCode::NOT_FOUND, detail)
+    })
 }
 
 async fn shown(served: &ServedDevice) -> Result<Shown, Refusal> {

@@ -89,8 +89,9 @@ impl PtySource {
 
 impl Drop for PtySource {
     fn drop(&mut self) {
-        let is_ours = |link: &&PathBuf| fs::read_link(link).is_ok_and(|target| target == Path::new(&self.name));
-        if let Some(link) = self.link.as_ref().filter(is_ours) {
+        if let Some(link) = &self.link
+            && fs::read_link(link).is_ok_and(|target| target == Path::new(&self.name))
+        {
             let _ = fs::remove_file(link);
         }
     }

@@ -77,10 +77,13 @@ impl Switch {
     }
 
     async fn order<T>(&self, order: Order, wait: oneshot::Receiver<T>) -> io::Result<T> {
-        let gone = || io::Error::new(io::ErrorKind::BrokenPipe, "the simulated device is gone");
         self.0.send(order).await.map_err(|_| gone())?;
         wait.await.map_err(|_| gone())
     }
+}
+
+fn gone() -> io::Error {
+    io::Error::new(io::ErrorKind::BrokenPipe, "the simulated device is gone")
 }
 
 /// Switches a device on, on the current runtime.

@@ -226,20 +226,16 @@ impl Actor {
         client: &Client,
         lease: Option<&LeaseToken>,
     ) -> Result<(), Rejection> {
-        let not_here = |remedy: &str| {
-            let detail = format!("{} cannot be sent this way: {remedy}", super::name_of(command));
-            Rejection::from(Invalid::Malformed { field: "id", detail })
-        };
         if !self.only_reads(command) {
             self.check_claim(now, client, lease)?;
         }
         self.settings.limits(&self.observed).check_setting(command)?;
         self.check_link()?;
         match command {
-            command if command.is_motion() => Err(not_here("use its own operation")),
-            Command::Stop | Command::FastStop => Err(not_here("use its own operation")),
-            Command::AcknowledgeFastStop => Err(not_here("acknowledge the FAST STOP by its id")),
-            Command::DisconnectAnnouncement => Err(not_here("the gateway announces its own disconnects")),
+            command if command.is_motion() => Err(not_here(command, "use its own operation")),
+            Command::Stop | Command::FastStop => Err(not_here(command, "use its own operation")),
+            Command::AcknowledgeFastStop => Err(not_here(command, "acknowledge the FAST STOP by its id")),
+            Command::DisconnectAnnouncement => Err(not_here(command, "the gateway announces its own disconnects")),
             command if command.id() == id::SET_FORCE_LIMIT => Ok(self.motion.check_force_limit()?),
             Command::Custom(_) if self.is_script(command) && client.door.speaks_wsg() => {
                 self.check_flags(now)?;
@@ -247,7 +243,7 @@ impl Actor {
                 Ok(self.recording.check()?)
             }
             Command::Custom(_) if self.is_script(command) => {
-                Err(not_here("it can move the fingers; submit it as a command"))
+                Err(not_here(command, "it can move the fingers; submit it as a command"))
             }
             command if id::has_updates(command.id()) && self.observed.value(command.id(), now.instant).is_none() => {
                 Err(self.no_value(now, command.id()).into())
@@ -398,4 +394,10 @@ impl Actor {
         let submitted = self.link.submit(now, Command::AcknowledgeFastStop, Purpose::Acknowledge);
         submitted.map_err(|not_taken| not_taken.0)
     }
+}
+
+/// Rejection of a request that clients send in another way.
+fn not_here(command: &Command, remedy: &str) -> Rejection {
+    let detail = format!("{} cannot be sent this way: {remedy}", super::name_of(command));
+    Rejection::from(Invalid::Malformed { field: "id", detail })
 }

@@ -179,11 +179,10 @@ impl Actor {
     /// Notices the beginning of a motion that no command explains. A client's script, another program or a hand can
     /// cause it.
     fn notice_foreign_motion(&mut self, now: Now, before: Option<SystemState>, flags: SystemState) {
-        let moves = |flags: SystemState| flags.contains(SystemState::MOVING);
-        if !moves(flags) {
+        if !flags.contains(SystemState::MOVING) {
             return self.scripts.rested();
         }
-        let begins = before.is_some_and(|before| !moves(before));
+        let begins = before.is_some_and(|before| !before.contains(SystemState::MOVING));
         // Scripts are checked before a held part, since a script can release it. After a part is lost, the fingers
         // close further by themselves.
         if !begins || self.motion.is_sent() || self.is_part_lost() || self.script_moves(now) {

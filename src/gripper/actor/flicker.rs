@@ -60,10 +60,13 @@ impl Flicker {
     /// Ends the second. Returns the changes left out and the newest of each kind, to be recorded. A kind that was quiet
     /// for a second starts over.
     fn end(&mut self, now: Instant) -> (Option<DeviceEvent>, Vec<Event>) {
-        let left_out = || self.kinds.iter().filter(|kind| kind.left_out > 0);
-        let names: BTreeSet<_> = left_out().map(|kind| kind.name.as_str()).collect();
+        let mut names = BTreeSet::new();
+        let mut count = 0;
+        for kind in self.kinds.iter().filter(|kind| kind.left_out > 0) {
+            names.insert(kind.name.as_str());
+            count += kind.left_out;
+        }
         let cause = names.into_iter().collect::<Vec<_>>().join(", ");
-        let count = left_out().map(|kind| kind.left_out).sum();
         self.kinds.retain(|kind| kind.newest.is_some());
         for kind in &mut self.kinds {
             kind.left_out = 0;

@@ -85,8 +85,7 @@ impl Actor {
             AcquireOutcome::HandedOver | AcquireOutcome::Again => {}
         }
         self.withdraw_stale_scripts();
-        let is_own = |id| self.commands.client(id).is_some_and(|client| client.subject == wish.client.subject);
-        if !matches!(outcome, AcquireOutcome::Again) && !self.motion.id().is_some_and(is_own) {
+        if !matches!(outcome, AcquireOutcome::Again) && !self.has_motion_of(&wish.client) {
             // A motion that has not started would start under another client's lease.
             self.withdraw_waiting_motion(now);
         }
@@ -95,6 +94,12 @@ impl Actor {
             self.stop_motion(now, None);
         }
         Ok(())
+    }
+
+    /// Whether the current motion was requested with this client's subject.
+    fn has_motion_of(&self, client: &Client) -> bool {
+        let mover = self.motion.id().and_then(|id| self.commands.client(id));
+        mover.is_some_and(|mover| mover.subject == client.subject)
     }
 
     pub(super) fn renew_lease(&mut self, now: Now, token: Option<&LeaseToken>) -> Result<Lease, Rejection> {

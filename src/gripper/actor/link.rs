@@ -68,6 +68,17 @@ pub(super) enum Purpose {
     LastRequest,
 }
 
+impl Purpose {
+    /// Whether the request reads or changes a setting for a client.
+    fn concerns_setting(&self) -> bool {
+        match self {
+            Self::Force(..) => true,
+            Self::Exchange(exchange) => Setting::of(exchange.command.id()).is_some(),
+            _ => false,
+        }
+    }
+}
+
 /// A Stop of the gateway's own.
 #[derive(Debug, Clone)]
 pub(super) struct OwnStop {
@@ -257,9 +268,12 @@ impl DeviceLink {
         self.state = LinkState::Down;
         self.cause = Some(self.released.clone().unwrap_or_else(|| cause.to_owned()));
         self.close = None;
-        let mut is_unwritten = |token| session.as_mut().is_some_and(|session| session.withdraw(token));
-        let purposes = std::mem::take(&mut self.purposes).into_iter();
-        purposes.map(|(token, purpose)| (purpose, is_unwritten(token))).collect()
+        let mut requests = Vec::new();
+        for (token, purpose) in std::mem::take(&mut self.purposes) {
+            let is_unwritten = session.as_mut().is_some_and(|session| session.withdraw(token));
+            requests.push((purpose, is_unwritten));
+        }
+        requests
     }
 
     /// Begins another setup, which waits for the setters in flight.
@@ -269,12 +283,7 @@ impl DeviceLink {
 
     /// Whether a setup waits that can begin now.
     pub(super) fn can_set_up(&self) -> bool {
-        let is_setter = |purpose: &Purpose| match purpose {
-            Purpose::Force(..) => true,
-            Purpose::Exchange(exchange) => Setting::of(exchange.command.id()).is_some(),
-            _ => false,
-        };
-        matches!(self.state, LinkState::SetupWaits) && !self.purposes.values().any(is_setter)
+        matches!(self.state, LinkState::SetupWaits) && !self.purposes.values().any(Purpose::concerns_setting)
     }
 
     pub(super) fn set_up(&mut self, setup: Setup) {

@@ -48,11 +48,6 @@ impl Metering {
         }
         let sent = session.counters();
         let received = session.decoder_counters();
-        let count = |counter: &IntCounter, now: u64, before: u64| {
-            if now > before {
-                counter.inc_by(now - before);
-            }
-        };
         if sent != self.sent {
             count(&metrics.frames_sent, sent.frames_sent, self.sent.frames_sent);
             count(&metrics.bytes_sent, sent.bytes_sent, self.sent.bytes_sent);
@@ -110,5 +105,12 @@ impl Metering {
                 }
             }
         }
+    }
+}
+
+/// Adds what a counter of the session has counted since `before`.
+fn count(counter: &IntCounter, now: u64, before: u64) {
+    if now > before {
+        counter.inc_by(now - before);
     }
 }

@@ -100,9 +100,9 @@ impl PersistedSettings {
     }
 
     fn wanted(&self) -> Wanted {
-        let width = |mm: Option<f32>| mm.and_then(|mm| Width::new(mm).ok());
-        let limits = width(self.minus_mm).zip(width(self.plus_mm));
-        let soft_limits = match limits.and_then(|(minus, plus)| SoftLimits::new(minus, plus)) {
+        let minus = self.minus_mm.and_then(|mm| Width::new(mm).ok());
+        let plus = self.plus_mm.and_then(|mm| Width::new(mm).ok());
+        let soft_limits = match minus.zip(plus).and_then(|(minus, plus)| SoftLimits::new(minus, plus)) {
             Some(limits) => WantedSoftLimits::Set(limits),
             None if self.soft_limits_cleared => WantedSoftLimits::Cleared,
             None => WantedSoftLimits::AsTheyAre,
@@ -201,8 +201,13 @@ impl Actor {
     }
 
     fn parse<T: DeserializeOwned>(&self, value: Option<&str>) -> Option<T> {
-        let warn = |error: &_| tracing::warn!(gripper = %self.config.name, %error, value, "persisted value ignored");
-        serde_json::from_str(value?).inspect_err(warn).ok()
+        match serde_json::from_str(value?) {
+            Ok(parsed) => Some(parsed),
+            Err(error) => {
+                tracing::warn!(gripper = %self.config.name, %error, value, "persisted value ignored");
+                None
+            }
+        }
     }
 }
 

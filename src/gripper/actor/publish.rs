@@ -94,8 +94,11 @@ impl Actor {
             return;
         }
         self.publication.sequence += 1;
-        let is_stale = |info: &Info| info.link != state.link || info.link_cause != state.link_cause;
-        if is_stale(&self.publication.info.borrow()) {
+        let is_stale = {
+            let info = self.publication.info.borrow();
+            info.link != state.link || info.link_cause != state.link_cause
+        };
+        if is_stale {
             self.recording.link(now, state.link, state.link_cause.clone());
             self.publication.change_info(|info| {
                 info.link = state.link;

@@ -116,8 +116,6 @@ impl Bounds {
     pub fn of(descriptors: usize) -> Self {
         let descriptors = descriptors.clamp(Self::MIN_DESCRIPTORS, Self::MAX_DESCRIPTORS);
         let given = descriptors - Self::MIN_DESCRIPTORS;
-        let all = Self::MAX_DESCRIPTORS - Self::MIN_DESCRIPTORS;
-        let share = |least: usize, most: usize| least + (most - least) * given / all;
         let mut classes = [usize::MAX; CLASSES];
         for (class, least, most) in [
             (Class::Incoming, 2, INCOMING),
@@ -127,12 +125,12 @@ impl Bounds {
             (Class::Waiting, 1, WAITING),
             (Class::Streaming, 1, STREAMING),
         ] {
-            classes[class as usize] = share(least, most);
+            classes[class as usize] = share(given, least, most);
         }
-        let leaving = share(1, LEAVING);
-        let displaced = share(1, DISPLACED);
+        let leaving = share(given, 1, LEAVING);
+        let displaced = share(given, 1, DISPLACED);
         // Rounded up: the other shares are rounded down, which leaves a descriptor for it.
-        let reserved = (RESERVED * given).div_ceil(all);
+        let reserved = (RESERVED * given).div_ceil(MAX_GIVEN);
         // New and keep-alive connections share the remainder.
         let bounded: usize = classes.iter().filter(|most| **most < usize::MAX).sum();
         let of_streams = classes[Class::Streaming as usize] * (STREAMING_DESCRIPTORS - 1);
@@ -183,6 +181,14 @@ impl Bounds {
     pub fn of_class(&self, class: Class) -> usize {
         self.classes[class as usize]
     }
+}
+
+/// Maximum number of descriptors beyond [`Bounds::MIN_DESCRIPTORS`].
+const MAX_GIVEN: usize = Bounds::MAX_DESCRIPTORS - Bounds::MIN_DESCRIPTORS;
+
+/// Returns a number between `least` and `most`, in proportion to the descriptors that are given beyond the minimum.
+fn share(given: usize, least: usize, most: usize) -> usize {
+    least + (most - least) * given / MAX_GIVEN
 }
 
 #[cfg(test)]

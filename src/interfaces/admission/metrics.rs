@@ -4,9 +4,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use prometheus::core::{Collector, Desc};
 use prometheus::proto::MetricFamily;
-use prometheus::{IntCounter, IntGauge, IntGaugeVec, Opts, Registry, Result};
+use prometheus::{IntCounter, IntGauge, IntGaugeVec, Registry, Result};
 
 use super::{Admission, Class};
+use crate::interfaces::metrics::door_opts;
 
 /// Classes with a bound, and their names.
 const BOUNDED: [(Class, &str); 6] = [
@@ -32,12 +33,13 @@ pub struct Usage {
 impl Usage {
     /// Registers the metrics of an interface's connections.
     pub fn register(registry: &Registry, interface: &str, admission: &Arc<Admission>) -> Result<()> {
-        let opts = |name: &str, help: &str| Opts::new(name, help).const_label("door", interface);
-        let used = opts("wsg_connection_slots_used", "Open connections in each class.");
-        let limit =
-            opts("wsg_connection_slots", "Maximum connections in each class; beyond it, one is evicted or refused.");
-        let held = opts("wsg_connections_held_bytes", "Bytes held for requests in progress and undelivered responses.");
-        let evicted = opts("wsg_connections_evicted_total", "Connections closed to make room for others.");
+        let used = door_opts(interface, "wsg_connection_slots_used", "Open connections in each class.");
+        let help = "Maximum connections in each class; beyond it, one is evicted or refused.";
+        let limit = door_opts(interface, "wsg_connection_slots", help);
+        let help = "Bytes held for requests in progress and undelivered responses.";
+        let held = door_opts(interface, "wsg_connections_held_bytes", help);
+        let help = "Connections closed to make room for others.";
+        let evicted = door_opts(interface, "wsg_connections_evicted_total", help);
         registry.register(Box::new(Self {
             admission: admission.clone(),
             used: IntGaugeVec::new(used, &["class"])?,

@@ -61,9 +61,14 @@ struct Entry {
 impl Entry {
     fn class(&self) -> Class {
         use Class::{Answering, Pinned, Streaming, Urgent, Waiting};
-        let claimed = |class: &Class| self.claims[*class as usize] > 0;
         let unclaimed = if self.is_demoted { Class::Incoming } else { self.base };
-        [Pinned, Streaming, Waiting, Urgent, Answering].into_iter().find(claimed).unwrap_or(unclaimed)
+        let mut by_precedence = [Pinned, Streaming, Waiting, Urgent, Answering].into_iter();
+        by_precedence.find(|class| self.claims[*class as usize] > 0).unwrap_or(unclaimed)
+    }
+
+    /// Whether the connection is not evicted for its bytes.
+    fn is_spared(&self) -> bool {
+        self.is_leaving || self.class() == Class::Pinned
     }
 
     /// Rank among the connections of a class and peer: the lowest gives way first.
@@ -225,8 +230,7 @@ impl Table {
         entry.held_bytes = entry.held_bytes + after - before;
         self.held_bytes = self.held_bytes + after - before;
         if after > before && self.held_bytes > self.bounds.held_bytes {
-            let is_spared = |entry: &Entry| entry.is_leaving || entry.class() == Class::Pinned;
-            let staying = self.entries.iter().filter(|(_, entry)| !is_spared(entry));
+            let staying = self.entries.iter().filter(|(_, entry)| !entry.is_spared());
             if let Some((&id, _)) = staying.max_by_key(|(_, entry)| entry.held_bytes) {
                 self.evict(id);
             }
@@ -237,11 +241,10 @@ impl Table {
     fn make_room(&mut self, class: Class, newcomer: Peer) -> bool {
         let members = &self.classes[class as usize];
         let most = self.bounds.of_class(class);
-        let has = |peer: &Peer| members.peers.get(peer).map_or(0, BTreeSet::len);
         if class == Class::Pinned {
             return members.count < self.bounds.pinned();
         }
-        if class.when_full() == WhenFull::Refuse && has(&newcomer) >= (most - most / 4).max(1) {
+        if class.when_full() == WhenFull::Refuse && members.of_peer(newcomer) >= (most - most / 4).max(1) {
             return false;
         }
         if members.count < most {
@@ -250,7 +253,10 @@ impl Table {
         let Some(id) = self.greediest(class) else { return true };
         let gives_way = match class.when_full() {
             WhenFull::Evict => true,
-            WhenFull::Share => self.entries.get(&id).is_some_and(|entry| has(&entry.peer) > has(&newcomer) + 1),
+            WhenFull::Share => {
+                let entry = self.entries.get(&id);
+                entry.is_some_and(|entry| members.of_peer(entry.peer) > members.of_peer(newcomer) + 1)
+            }
             WhenFull::Refuse => false,
         };
         if gives_way {
@@ -314,6 +320,11 @@ impl Table {
 }
 
 impl Members {
+    /// Number of connections of a peer.
+    fn of_peer(&self, peer: Peer) -> usize {
+        self.peers.get(&peer).map_or(0, BTreeSet::len)
+    }
+
     fn insert(&mut self, peer: Peer, rank: Instant, id: Id) {
         self.count += usize::from(self.peers.entry(peer).or_default().insert((rank, id)));
     }

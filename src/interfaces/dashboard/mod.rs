@@ -127,13 +127,15 @@ fn compressed(plain: &[u8]) -> Option<Bytes> {
 
 /// Returns the files that the gateway joins from assets, by path.
 fn joined() -> BTreeMap<&'static str, Content> {
-    let read = |path: &str| text(path);
-    let first = Bundle::first(&read, FIRST);
-    let second = first.module(&read, SECOND);
-    let third = second.module_after(&read, THIRD, SECOND);
-    let script = |bundle: &Bundle| Content::new("text/javascript; charset=utf-8", bundle.script().to_owned());
+    let first = Bundle::first(&text, FIRST);
+    let second = first.module(&text, SECOND);
+    let third = second.module_after(&text, THIRD, SECOND);
     let style = Content::new("text/css; charset=utf-8", STYLES.map(text).concat());
     BTreeMap::from([(FIRST, script(&first)), (SECOND, script(&second)), (THIRD, script(&third)), ("style.css", style)])
+}
+
+fn script(bundle: &Bundle) -> Content {
+    Content::new("text/javascript; charset=utf-8", bundle.script().to_owned())
 }
 
 /// Returns the text of an asset; empty if the asset does not exist.

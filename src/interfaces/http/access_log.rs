@@ -1,5 +1,6 @@
 //! Access log and request metrics.
 
+use std::sync::Arc;
 use std::time::Instant;
 
 use axum::extract::{MatchedPath, Request};
@@ -43,11 +44,14 @@ pub async fn watch(context: &HttpContext, request: Request, next: impl AsyncFnOn
 fn span(request: &Request) -> Span {
     let method = request.method();
     let path = request.uri().path();
-    let client = || client(request.extensions()).subject;
     match *method {
-        Method::GET | Method::HEAD => debug_span!("request", %method, path, client = %client()),
-        _ => info_span!("request", %method, path, client = %client(), command = Empty, fast_stop = Empty),
+        Method::GET | Method::HEAD => debug_span!("request", %method, path, client = %subject(request)),
+        _ => info_span!("request", %method, path, client = %subject(request), command = Empty, fast_stop = Empty),
     }
+}
+
+fn subject(request: &Request) -> Arc<str> {
+    client(request.extensions()).subject
 }
 
 /// Returns the metric label of a method. Clients can invent methods, so unknown ones share one label.

@@ -57,33 +57,33 @@ const NOTIFICATIONS: &[(&str, &str, &str)] = &[
 )))]
 struct OwnSchemas;
 
+/// The messages of the document, and the operations that send or receive them.
+#[derive(Default)]
+struct Contents {
+    messages: Map<String, Value>,
+    operations: Map<String, Value>,
+}
+
 #[must_use]
 pub fn document(openapi: &Value) -> Value {
     let own = serde_json::to_value(OwnSchemas::openapi()).unwrap_or_default();
-    let mut messages = Map::new();
-    let mut operations = Map::new();
-    let mut add_method = |name: &str, summary: &str, params: Value, result: Value| {
-        let answer = format!("{name}.answer");
-        let reply =
-            json!({"channel": reference("channels", "ws"), "messages": [of_channel(&answer), of_channel("error")]});
-        operations.insert(name.to_owned(), operation("receive", name, summary, Some(reply)));
-        messages.insert(name.to_owned(), titled(name, summary, request(name, &params)));
-        messages.insert(answer.clone(), titled(&answer, &format!("Result of `{name}`"), answered("result", result)));
-    };
+    let mut contents = Contents::default();
     let follow =
         "Subscribe to states, telemetry, events, frames, the fleet or alarms. Replaces the previous subscription";
-    add_method(
+    contents.add_method(
         "subscribe",
         follow,
-        reference("components/schemas", "Subscribe"),
+        &reference("components/schemas", "Subscribe"),
         reference("components/schemas", "Subscribed"),
     );
     let names: BTreeSet<_> = all().map(|method| method.name).collect();
     for name in names {
         let rows: Vec<_> = all().filter(|method| method.name == name).collect();
         let summary = rows.first().map(|row| operation_of(openapi, row)["summary"].clone()).unwrap_or_default();
-        add_method(name, summary.as_str().unwrap_or_default(), params(openapi, &rows), result(openapi, &rows));
+        let summary = summary.as_str().unwrap_or_default();
+        contents.add_method(name, summary, &params(openapi, &rows), result(openapi, &rows));
     }
+    let Contents { mut messages, mut operations } = contents;
     for (name, schema, summary) in NOTIFICATIONS {
         let params = reference("components/schemas", schema);
         // The suffix avoids a clash with the method `command`.
@@ -117,6 +117,18 @@ pub fn document(openapi: &Value) -> Value {
     });
     with_examples(&mut document);
     document
+}
+
+impl Contents {
+    fn add_method(&mut self, name: &str, summary: &str, params: &Value, result: Value) {
+        let answer = format!("{name}.answer");
+        let reply =
+            json!({"channel": reference("channels", "ws"), "messages": [of_channel(&answer), of_channel("error")]});
+        self.operations.insert(name.to_owned(), operation("receive", name, summary, Some(reply)));
+        self.messages.insert(name.to_owned(), titled(name, summary, request(name, params)));
+        let message = titled(&answer, &format!("Result of `{name}`"), answered("result", result));
+        self.messages.insert(answer, message);
+    }
 }
 
 /// Returns the document as YAML.

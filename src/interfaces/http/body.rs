@@ -22,8 +22,10 @@ pub type HeldBody = (Bytes, Option<HeldBytes>);
 
 /// Reads a body, within the bounds above.
 pub async fn read(stream: Stream, permit: Option<&Arc<ConnectionPermit>>) -> Result<HeldBody, Problem> {
-    let too_late = || Problem::new(Code::RequestTimeout, format!("the body did not arrive within {BODY_TIME:?}"));
-    timeout(BODY_TIME, collect(stream, permit)).await.map_err(|_| too_late())?
+    match timeout(BODY_TIME, collect(stream, permit)).await {
+        Ok(read) => read,
+        Err(_) => Err(Problem::new(Code::RequestTimeout, format!("the body did not arrive within {BODY_TIME:?}"))),
+    }
 }
 
 async fn collect(mut stream: Stream, permit: Option<&Arc<ConnectionPermit>>) -> Result<HeldBody, Problem> {

@@ -57,16 +57,18 @@ pub fn begins_with_fast_stop(first: &[u8]) -> bool {
     let Ok(httparse::Status::Complete(head)) = request.parse(first) else { return false };
     let path = request.path.and_then(|target| target.split('?').next()).unwrap_or_default();
     let is_fast_stop = path.trim_end_matches('/').ends_with(FAST_STOP);
-    let given = |name: &HeaderName| {
-        request.headers.iter().find(|field| field.name.eq_ignore_ascii_case(name.as_str())).map(|field| field.value)
-    };
     // The end of a chunked body is not announced.
-    if !is_fast_stop || given(&TRANSFER_ENCODING).is_some() {
+    if !is_fast_stop || field_value(request.headers, &TRANSFER_ENCODING).is_some() {
         return false;
     }
-    let announced = given(&CONTENT_LENGTH).unwrap_or(b"0");
+    let announced = field_value(request.headers, &CONTENT_LENGTH).unwrap_or(b"0");
     let announced = std::str::from_utf8(announced).ok().and_then(|length| length.trim().parse().ok());
     announced.is_some_and(|announced: usize| first.len() - head >= announced)
+}
+
+fn field_value<'a>(fields: &[httparse::Header<'a>], name: &HeaderName) -> Option<&'a [u8]> {
+    let field = fields.iter().find(|field| field.name.eq_ignore_ascii_case(name.as_str()));
+    field.map(|field| field.value)
 }
 
 /// Whether a request that begins with these bytes can be a FAST STOP.

@@ -146,7 +146,6 @@ fn either(one: &Value, other: &Value) -> Value {
 
 /// Values of two lists or single values, without duplicates.
 fn union(one: &Value, other: &Value) -> Value {
-    let list = |value: &Value| value.as_array().cloned().unwrap_or_else(|| vec![value.clone()]);
     let mut all = list(one);
     all.extend(list(other));
     let mut seen = Vec::new();
@@ -159,6 +158,11 @@ fn union(one: &Value, other: &Value) -> Value {
     Value::Array(all)
 }
 
+/// Returns the values of a list, or a single value.
+fn list(value: &Value) -> Vec<Value> {
+    value.as_array().cloned().unwrap_or_else(|| vec![value.clone()])
+}
+
 /// Joins two descriptions, unless the first contains the second.
 fn sentences(one: &Value, other: &Value) -> Value {
     let left = one.as_str().unwrap_or_default();
@@ -167,8 +171,7 @@ fn sentences(one: &Value, other: &Value) -> Value {
 }
 
 fn pascal(word: &str) -> String {
-    let capital = |part: &str| part[..1].to_uppercase() + &part[1..];
-    word.split('_').filter(|part| !part.is_empty()).map(capital).collect()
+    word.split('_').filter(|part| !part.is_empty()).map(|part| part[..1].to_uppercase() + &part[1..]).collect()
 }
 
 /// Removes schemas that no operation reaches.

@@ -18,9 +18,9 @@ use super::asked::Asked;
 use super::body;
 use super::context::{API, HttpContext};
 use super::fast_stop::{REASON_TIME, with_reason};
-use super::operation::{RequestBody, query, serve_below};
+use super::operation::{RequestBody, path_parameter, query, serve_below};
 use super::problem::{PROBLEM_JSON, RETRY_AFTER_S};
-use super::unknown_path::unknown_path;
+use super::unknown_path::{no_such_path, unknown_path};
 use super::visitor::Identified;
 use crate::access::Credential;
 use crate::fleet::{PeerRequest, TOKEN};
@@ -51,20 +51,16 @@ struct Target {
 
 impl Target {
     fn of(parameters: &RawPathParams) -> Result<Self, Problem> {
-        let find = |name| parameters.iter().find(|(key, _)| *key == name).map(|(_, value)| value.to_owned());
-        let unknown = || Problem::not_found("such path");
+        let gateway = path_parameter(parameters, "gateway").ok_or_else(no_such_path)?;
         Ok(Self {
-            gateway: find("gateway")
-                .ok_or_else(unknown)?
-                .parse()
-                .map_err(|_| Problem::not_found("gateway with this name"))?,
-            gripper: find("gripper").ok_or_else(unknown)?,
-            // A FAST STOP with a trailing slash is accepted everywhere.
-            operation: find("operation")
-                .map(|operation| {
-                    format!("/{}", operation.strip_suffix("fast-stop/").map_or(&*operation, |_| "fast-stop"))
-                })
-                .unwrap_or_default(),
+            gateway: gateway.parse().map_err(|_| Problem::not_found("gateway with this name"))?,
+            gripper: path_parameter(parameters, "gripper").ok_or_else(no_such_path)?.to_owned(),
+            operation: match path_parameter(parameters, "operation") {
+                // A FAST STOP with a trailing slash is accepted everywhere.
+                Some(operation) if operation.ends_with("fast-stop/") => "/fast-stop".to_owned(),
+                Some(operation) => format!("/{operation}"),
+                None => String::new(),
+            },
         })
     }
 }
@@ -128,10 +124,7 @@ pub async fn forward(
             .await
     };
     let asked = if urgency == Urgency::FastStop {
-        let reason = |text: &[u8]| Reason::truncated(&text_member(text, "reason").unwrap_or_default());
-        let stop =
-            async |text: Bytes| ask(Map::from_iter([("reason".to_owned(), reason(&text).as_str().into())])).await;
-        with_reason(stream, permit, stop).await
+        with_reason(stream, permit, async |text: Bytes| ask(reason_in(&text)).await).await
     } else {
         let mut params = if operation.changes_something() { Map::new() } else { query(&parts.uri, operation)? };
         params.extend(fields_of(operation, stream, path).await?);
@@ -142,6 +135,12 @@ pub async fn forward(
         Ok(Err((status, problem))) => Ok(refused(status, &problem)),
         Err(why) => Err(no_answer(&target.gateway, why)),
     }
+}
+
+/// Returns the parameters of a FAST STOP: the reason in its body.
+fn reason_in(body: &[u8]) -> Map<String, Value> {
+    let reason = Reason::truncated(&text_member(body, "reason").unwrap_or_default());
+    Map::from_iter([("reason".to_owned(), reason.as_str().into())])
 }
 
 /// Returns the fields of a request. A Stop happens whatever its body says and however long the body takes.
@@ -168,10 +167,13 @@ async fn fields(stream: Stream, path: BTreeMap<&'static str, String>) -> Result<
 }
 
 fn aside(parts: &Parts) -> Vec<(&'static str, String)> {
-    let given = |(header, name): (HeaderName, &'static str)| {
-        Some((name, String::from_utf8_lossy(parts.headers.get(header)?.as_bytes()).into_owned()))
-    };
-    HEADER_PARAMS.into_iter().filter_map(given).collect()
+    let mut aside = Vec::new();
+    for (header, name) in HEADER_PARAMS {
+        if let Some(value) = parts.headers.get(header) {
+            aside.push((name, String::from_utf8_lossy(value.as_bytes()).into_owned()));
+        }
+    }
+    aside
 }
 
 /// An operation, and the parameters in its path.
@@ -227,14 +229,15 @@ fn answered(gateway: &Name, operation: &Operation, answer: &RawValue) -> Respons
         return (json, answer.get().to_owned()).into_response();
     }
     let command: Value = serde_json::from_str(answer.get()).unwrap_or_default();
-    let text = |key: &str| command[key].as_str().unwrap_or_default();
     if command["place"].is_u64() {
         return (StatusCode::ACCEPTED, json, answer.get().to_owned()).into_response();
     }
-    if text("phase") != "running" {
+    if command["phase"] != "running" {
         return (json, answer.get().to_owned()).into_response();
     }
-    let location = format!("{API}/fleet/{gateway}/grippers/{}/commands/{}", text("gripper"), text("id"));
+    let gripper = command["gripper"].as_str().unwrap_or_default();
+    let id = command["id"].as_str().unwrap_or_default();
+    let location = format!("{API}/fleet/{gateway}/grippers/{gripper}/commands/{id}");
     (StatusCode::ACCEPTED, [(header::LOCATION, location)], json, answer.get().to_owned()).into_response()
 }
 

@@ -88,9 +88,9 @@ fn check(request: &Request, settings: &HttpSettings) -> Result<(), Problem> {
         _ => {}
     }
     for origin in request.headers().get_all(ORIGIN) {
-        let is_same = |(origin, host)| is_same(origin, host, settings.tls.is_some());
-        let same = origin.to_str().ok().zip(host.as_deref()).is_some_and(is_same);
-        if !same && !settings.allows_origin(origin) {
+        let own = origin.to_str().ok().zip(host.as_deref());
+        let is_own = own.is_some_and(|(origin, host)| is_same(origin, host, settings.tls.is_some()));
+        if !is_own && !settings.allows_origin(origin) {
             let detail = "the Origin header names a web page of another origin than the Host header: list the page's \
                           origin in cors_origins, or let a proxy pass on the Host header of the browser";
             return Err(Problem::new(Code::ForeignOrigin, detail));
@@ -101,25 +101,30 @@ fn check(request: &Request, settings: &HttpSettings) -> Result<(), Problem> {
 
 /// Returns the request's authority in lower case. Only HTTP/1.0 may omit it.
 fn authority(request: &Request) -> Result<Option<String>, Problem> {
-    let malformed = |detail: &str| Problem::malformed("Host", detail);
-    let lower = |value: &HeaderValue| value.to_str().map(str::to_ascii_lowercase);
     let header = match all_of(request.headers(), &HOST)[..] {
         [] => None,
         // A client whose target has no authority sends an empty one (RFC 9112, 3.2); no browser does.
         [host] if host.is_empty() && request.uri().authority().is_none() => return Ok(None),
-        [host] => Some(lower(host).map_err(|_| malformed("the Host header is not valid text"))?),
-        _ => return Err(malformed("there is more than one Host header")),
+        [host] => {
+            let host = host.to_str().map_err(|_| invalid_host("the Host header is not valid text"))?;
+            Some(host.to_ascii_lowercase())
+        }
+        _ => return Err(invalid_host("there is more than one Host header")),
     };
     let scheme = request.uri().scheme_str().unwrap_or("http");
     // In the absolute form the request's target counts, and the Host header must not differ from it (RFC 9112, 3.2.2).
     let target = request.uri().authority().map(|authority| authority.as_str().to_ascii_lowercase());
     match (header, target) {
         (Some(header), Some(target)) if !is_same_authority(scheme, &header, &target) => {
-            Err(malformed("the Host header differs from the target"))
+            Err(invalid_host("the Host header differs from the target"))
         }
-        (None, None) if request.version() > Version::HTTP_10 => Err(malformed("the Host header is missing")),
+        (None, None) if request.version() > Version::HTTP_10 => Err(invalid_host("the Host header is missing")),
         (header, target) => Ok(header.or(target)),
     }
+}
+
+fn invalid_host(detail: &str) -> Problem {
+    Problem::malformed("Host", detail)
 }
 
 fn all_of<'a>(headers: &'a HeaderMap, name: &HeaderName) -> Vec<&'a HeaderValue> {

@@ -289,14 +289,13 @@ pub async fn curve(
     let (id, samples) = samples(&context, &id).await?;
     let record = context.gateway.journal.grip(id).await?.ok_or_else(no_such_grip)?;
     let MeasuredRecord { measured_at } = serde_json::from_str(&record).unwrap_or_default();
-    let column = |value: fn(&Sample) -> f32| samples.iter().map(value).collect();
     let curve = Curve {
         id,
         measured_at,
         t_ms: samples.iter().map(|sample| sample.t_ms).collect(),
-        width_mm: column(|sample| sample.width_mm),
-        speed_mm_s: column(|sample| sample.speed_mm_s),
-        force_n: column(|sample| sample.force_n),
+        width_mm: samples.iter().map(|sample| sample.width_mm).collect(),
+        speed_mm_s: samples.iter().map(|sample| sample.speed_mm_s).collect(),
+        force_n: samples.iter().map(|sample| sample.force_n).collect(),
     };
     Ok(Json(curve).into_response())
 }

@@ -56,20 +56,25 @@ pub fn all() -> BTreeMap<String, Meanings> {
 }
 
 fn of<T: EnumMessage + VariantArray + Serialize + ToSchema>() -> (String, Meanings) {
-    // Lines of a doc comment are joined.
-    let words =
-        |value: &T| value.get_documentation().unwrap_or_default().split_whitespace().collect::<Vec<_>>().join(" ");
-    let meaning = |value: &T| (json!(value), words(value));
     (T::name().into_owned(), T::VARIANTS.iter().map(meaning).collect())
+}
+
+/// Returns a value and its doc comment, whose lines are joined.
+fn meaning<T: EnumMessage + Serialize>(value: &T) -> (Value, String) {
+    let words = value.get_documentation().unwrap_or_default().split_whitespace();
+    (json!(value), words.collect::<Vec<_>>().join(" "))
 }
 
 /// Adds the meanings of the values to the schema of an enumeration: to its description, and as the extensions that code
 /// generators read.
 pub fn describe(schema: &mut Value, meanings: &Meanings) {
-    let word = |value: &Value| value.as_str().unwrap_or_default().to_owned();
     let list: Vec<_> = meanings.iter().map(|(value, meaning)| format!("- `{}`: {meaning}", word(value))).collect();
     let intro = schema["description"].as_str().unwrap_or_default();
     schema["description"] = format!("{intro}\n\n{}", list.join("\n")).into();
     schema["x-enumDescriptions"] = meanings.iter().map(|(value, meaning)| (word(value), json!(meaning))).collect();
     schema["x-enum-descriptions"] = meanings.iter().map(|(_, meaning)| json!(meaning)).collect();
+}
+
+fn word(value: &Value) -> &str {
+    value.as_str().unwrap_or_default()
 }

@@ -96,8 +96,9 @@ fn allow_null(field: &mut Value) {
 fn add_forwarded(document: &mut Value) {
     let own = format!("{API}{OWN}");
     let Some(paths) = document["paths"].as_object_mut() else { return };
-    let of_gripper = |(path, item): (&String, &Value)| Some((path.strip_prefix(&own)?.to_owned(), item.clone()));
-    for (rest, mut item) in paths.iter().filter_map(of_gripper).collect::<Vec<_>>() {
+    let of_gripper: Vec<_> =
+        paths.iter().filter_map(|(path, item)| Some((path.strip_prefix(&own)?.to_owned(), item.clone()))).collect();
+    for (rest, mut item) in of_gripper {
         item.as_object_mut().into_iter().flat_map(Map::values_mut).for_each(forward);
         paths.insert(format!("{API}{FORWARDED_TO}{rest}"), item);
     }
@@ -105,9 +106,8 @@ fn add_forwarded(document: &mut Value) {
 
 /// Turns an operation of a gripper into that of a gripper of any gateway.
 fn forward(operation: &mut Value) {
-    let text = |name: &str| operation[name].as_str().unwrap_or_default().to_owned();
-    let id = text("operationId");
-    let summary = text("summary");
+    let id = operation["operationId"].as_str().unwrap_or_default().to_owned();
+    let summary = operation["summary"].as_str().unwrap_or_default().to_owned();
     let description = format!(
         "Like `{id}`, for a gripper of any gateway on the Zenoh network. The gateway that owns the gripper decides. \
          `gateway_gone` means that nothing was sent to it; `gateway_timeout` means that the outcome is unknown."

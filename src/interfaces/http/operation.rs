@@ -14,6 +14,7 @@ use serde_json::{Map, Value};
 use super::body;
 use super::context::{API, HttpContext};
 use super::fast_stop::with_reason;
+use super::unknown_path::no_such_path;
 use super::visitor::Identified;
 use super::wait::ConnectionWaits;
 use crate::model::{Door, LeaseToken, Text, Urgency};
@@ -93,13 +94,17 @@ pub fn query(uri: &Uri, operation: &Operation) -> Result<Map<String, Value>, Pro
 
 /// Returns the path's parameters. A path that is not valid text is not found.
 async fn path(parts: &mut Parts, operation: &Operation) -> Result<BTreeMap<&'static str, String>, Problem> {
-    let unknown = || Problem::not_found("such path");
-    let given: RawPathParams = parts.extract().await.map_err(|_| unknown())?;
-    let part = |key| {
-        let found = given.iter().find(|(name, _)| *name == key).map(|(_, value)| (key, value.to_owned()));
-        found.ok_or_else(unknown)
-    };
-    operation.path_parameters().map(part).collect()
+    let given: RawPathParams = parts.extract().await.map_err(|_| no_such_path())?;
+    let mut path = BTreeMap::new();
+    for key in operation.path_parameters() {
+        let value = path_parameter(&given, key).ok_or_else(no_such_path)?;
+        path.insert(key, value.to_owned());
+    }
+    Ok(path)
+}
+
+pub fn path_parameter<'a>(parameters: &'a RawPathParams, name: &str) -> Option<&'a str> {
+    parameters.iter().find(|(key, _)| *key == name).map(|(_, value)| value)
 }
 
 fn caller(identified: &Identified, parts: &Parts, operation: &Operation) -> Result<Caller, Problem> {
@@ -129,13 +134,7 @@ fn label(headers: &HeaderMap) -> Option<&str> {
 
 /// Returns the version that the request expects (RFC 9110 13.1): that of `If-Match`, or none with `If-None-Match: *`.
 fn expected(headers: &HeaderMap) -> Result<ExpectedVersion, Problem> {
-    // An empty condition is one whose value got lost: it must not count as none.
-    let given = |name: &'static str| match headers.get(name).map(HeaderValue::is_empty) {
-        None => Ok(None),
-        Some(true) => Err(Problem::malformed(name, format!("{name} is empty: leave it out, or send the ETag"))),
-        Some(false) => key::<64>(headers, name),
-    };
-    match (given(header::IF_MATCH.as_str())?, given(header::IF_NONE_MATCH.as_str())?) {
+    match (condition(headers, header::IF_MATCH.as_str())?, condition(headers, header::IF_NONE_MATCH.as_str())?) {
         (None, None) => Ok(ExpectedVersion::Any),
         (Some(tag), None) if tag.as_str() == "*" => Ok(ExpectedVersion::Present),
         (None, Some(tag)) if tag.as_str() == "*" => Ok(ExpectedVersion::Absent),
@@ -147,6 +146,15 @@ fn expected(headers: &HeaderMap) -> Result<ExpectedVersion, Problem> {
             Ok(ExpectedVersion::Exactly(tagged_version(tag.as_str()).unwrap_or_default()))
         }
         _ => Err(Problem::malformed("If-None-Match", "If-None-Match must be *, without If-Match")),
+    }
+}
+
+fn condition(headers: &HeaderMap, name: &'static str) -> Result<Option<Text<64>>, Problem> {
+    match headers.get(name).map(HeaderValue::is_empty) {
+        None => Ok(None),
+        // An empty condition is one whose value got lost: it must not count as none.
+        Some(true) => Err(Problem::malformed(name, format!("{name} is empty: leave it out, or send the ETag"))),
+        Some(false) => key(headers, name),
     }
 }
 

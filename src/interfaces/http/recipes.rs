@@ -77,13 +77,15 @@ fn rows(recipe: &Recipe) -> Vec<Map<String, Value>> {
     let Ok(Value::Object(mut fields)) = serde_json::to_value(recipe) else { return Vec::new() };
     let Some(Value::Object(grippers)) = fields.remove(GRIPPERS) else { return vec![fields] };
     let part_id = fields.get(PART_ID).cloned().unwrap_or_default();
-    let of_gripper = |(gripper, values): (String, Value)| {
-        let Value::Object(mut values) = values else { return Map::new() };
-        values.extend([(PART_ID.to_owned(), part_id.clone()), (GRIPPER.to_owned(), gripper.into())]);
-        values
-    };
-    let others: Vec<_> = grippers.into_iter().map(of_gripper).collect();
-    [vec![fields], others].concat()
+    let mut rows = vec![fields];
+    rows.extend(grippers.into_iter().map(|(gripper, values)| gripper_row(&part_id, gripper, values)));
+    rows
+}
+
+fn gripper_row(part_id: &Value, gripper: String, values: Value) -> Map<String, Value> {
+    let Value::Object(mut values) = values else { return Map::new() };
+    values.extend([(PART_ID.to_owned(), part_id.clone()), (GRIPPER.to_owned(), gripper.into())]);
+    values
 }
 
 /// Parses a table to the recipes of a request, in the order of their first rows.
@@ -98,8 +100,8 @@ fn parse(table: &[u8]) -> Result<Vec<Map<String, Value>>, Problem> {
             format!("unknown column {unknown:?}; known, separated by commas or semicolons: {}", COLUMNS.join(", "));
         return Err(Problem::malformed(&unknown, detail));
     }
-    let is_repeated = |column: &&str| columns.iter().filter(|other| other == column).count() > 1;
-    if let Some(repeated) = columns.iter().find(is_repeated) {
+    let repeated = columns.iter().find(|column| columns.iter().filter(|other| other == column).count() > 1);
+    if let Some(repeated) = repeated {
         return Err(Problem::malformed(repeated, format!("column {repeated} is given more than once")));
     }
     let mut recipes: Vec<Map<String, Value>> = Vec::new();
@@ -123,11 +125,10 @@ fn parse(table: &[u8]) -> Result<Vec<Map<String, Value>>, Problem> {
         };
         let part_id = fields.remove(PART_ID);
         let recipe = recipes.iter_mut().find(|recipe| recipe.get(PART_ID) == part_id.as_ref());
-        let no_recipe = || {
+        let Some(recipe) = recipe else {
             let detail = format!("line {line}: no earlier row has this part without a gripper");
-            Problem::malformed(PART_ID, detail).value(part_id.clone())
+            return Err(Problem::malformed(PART_ID, detail).value(part_id));
         };
-        let recipe = recipe.ok_or_else(no_recipe)?;
         if let Some(field) = fields.keys().find(|field| !is_of_gripper(field)) {
             let detail = format!("line {line}: {field} must be empty in the row of a gripper");
             return Err(Problem::malformed(field, detail));

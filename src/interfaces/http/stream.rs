@@ -154,9 +154,12 @@ impl Stream {
         let mut updates = context.gateway.updates.subscribe(name.as_ref().map(|_| &only), topics.iter().copied());
         let mut ready = VecDeque::new();
         for state in updates.snapshot() {
-            let has = |topic| topics.contains(&topic);
-            ready.extend(has(Topic::State).then(|| Notification::new("state", &*state)).flatten());
-            ready.extend(has(Topic::Telemetry).then(|| Notification::telemetry(&state)).flatten());
+            if topics.contains(&Topic::State) {
+                ready.extend(Notification::new("state", &*state));
+            }
+            if topics.contains(&Topic::Telemetry) {
+                ready.extend(Notification::telemetry(&state));
+            }
         }
         let metrics = context.metrics.clone();
         let closing = context.closing.clone();

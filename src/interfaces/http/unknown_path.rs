@@ -35,6 +35,11 @@ pub fn unknown_path(path: &str) -> Problem {
     Problem::not_found(format!("such path:{suggestion} /docs lists all paths"))
 }
 
+/// Returns the problem for a path whose parameters are not text, or lack one.
+pub fn no_such_path() -> Problem {
+    Problem::not_found("such path")
+}
+
 /// Returns the path that resembles the given one most, which may lack the API's root.
 fn nearest(given: &str) -> Option<String> {
     let given = given.trim_end_matches('/');

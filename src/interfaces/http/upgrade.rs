@@ -89,6 +89,9 @@ fn check_key(headers: &HeaderMap) -> Result<(), Problem> {
     let keys: Vec<_> = headers.get_all(SEC_WEBSOCKET_KEY).iter().collect();
     let is_valid =
         matches!(&keys[..], [key] if STANDARD.decode(key.as_bytes()).is_ok_and(|key| key.len() == KEY_BYTES));
-    let detail = || format!("Sec-WebSocket-Key must be {KEY_BYTES} random bytes in Base64 (RFC 6455, 4.1)");
-    is_valid.then_some(()).ok_or_else(|| Problem::malformed("Sec-WebSocket-Key", detail()))
+    if is_valid {
+        return Ok(());
+    }
+    let detail = format!("Sec-WebSocket-Key must be {KEY_BYTES} random bytes in Base64 (RFC 6455, 4.1)");
+    Err(Problem::malformed("Sec-WebSocket-Key", detail))
 }

@@ -6,7 +6,7 @@ use axum::http::{Extensions, HeaderMap};
 use super::origin::is_listed_other;
 use super::settings::HttpSettings;
 use crate::access::{Access, ClientOrigin, Credential, Identity, SessionId, Unauthorized, Visitor};
-use crate::model::{Client, Door, Name};
+use crate::model::{Client, Door};
 
 /// Beginning of a name over TLS. Browsers accept such a cookie only from this very host (RFC 6265bis, 4.1.3.2).
 const SECURE_PREFIX: &str = "__Host-";
@@ -57,19 +57,28 @@ impl Identified {
     /// The client as it appears in the journal: its name, or else its address.
     pub fn client(&self, door: Door) -> Client {
         let name = self.identity.as_ref().ok().and_then(|identity| identity.name.as_ref());
-        let by_address = || {
-            let door = if door == Door::Ws { "ws" } else { "http" };
-            self.visitor.origin.address.map_or_else(|| format!("{door}:unknown"), |peer| format!("{door}:{peer}"))
+        let subject = match name {
+            Some(name) => name.to_string(),
+            None => self.subject_by_address(door),
         };
-        let subject = name.map_or_else(by_address, Name::to_string);
         Client::new(subject, door)
+    }
+
+    fn subject_by_address(&self, door: Door) -> String {
+        let interface = if door == Door::Ws { "ws" } else { "http" };
+        match self.visitor.origin.address {
+            Some(peer) => format!("{interface}:{peer}"),
+            None => format!("{interface}:unknown"),
+        }
     }
 }
 
 /// Returns the client of a request as it appears in the journal.
 pub fn client(extensions: &Extensions) -> Client {
-    let of_nobody = || Client::new("http:unknown", Door::Http);
-    extensions.get::<Identified>().map_or_else(of_nobody, |identified| identified.client(Door::Http))
+    match extensions.get::<Identified>() {
+        Some(identified) => identified.client(Door::Http),
+        None => Client::new("http:unknown", Door::Http),
+    }
 }
 
 /// Returns what a request presents. A token precedes a session, since only programs send tokens.

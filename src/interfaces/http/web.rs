@@ -39,24 +39,27 @@ fn origin(text: &str) -> Result<String, String> {
 }
 
 fn public_url() -> SettingValue<Option<Url>> {
-    let is_plain = |url: &Url| {
-        *url.authority() == url[Position::BeforeHost..Position::AfterPort]
-            && url.query().is_none()
-            && url.fragment().is_none()
-            // The URL becomes a part of a Zenoh key, where an asterisk is a wildcard.
-            && !url.as_str().contains('*')
-    };
-    let parse = move |text: String| {
-        if let Err(InvalidWebUrl::Host(host)) = parse_web_url(&text) {
-            return Err(format!("has the host {host}"));
-        }
-        parse_dashboard(&text).filter(is_plain).map(Some).ok_or_else(|| {
-            // The text can contain a password.
-            format!(
-                "is not a URL that others can open: write at most {MAX_URL_BYTES} bytes without user, password, query \
-                 and asterisk, such as https://cell-7.example:8080/"
-            )
-        })
-    };
-    parsed(None, "", "an `http` or `https` URL", parse).shown("none", "\"https://cell-7.example:8080/\"")
+    parsed(None, "", "an `http` or `https` URL", |text: String| parse_public_url(&text).map(Some))
+        .shown("none", "\"https://cell-7.example:8080/\"")
+}
+
+fn parse_public_url(text: &str) -> Result<Url, String> {
+    if let Err(InvalidWebUrl::Host(host)) = parse_web_url(text) {
+        return Err(format!("has the host {host}"));
+    }
+    parse_dashboard(text).filter(is_plain).ok_or_else(|| {
+        // The text can contain a password.
+        format!(
+            "is not a URL that others can open: write at most {MAX_URL_BYTES} bytes without user, password, query \
+             and asterisk, such as https://cell-7.example:8080/"
+        )
+    })
+}
+
+fn is_plain(url: &Url) -> bool {
+    *url.authority() == url[Position::BeforeHost..Position::AfterPort]
+        && url.query().is_none()
+        && url.fragment().is_none()
+        // The URL becomes a part of a Zenoh key, where an asterisk is a wildcard.
+        && !url.as_str().contains('*')
 }

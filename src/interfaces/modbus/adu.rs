@@ -81,13 +81,19 @@ pub(super) fn request(request: Bytes) -> Result<Request<'static>, ExceptionCode>
         Some(&function) if function == READ_AND_WRITE.0 => Some(READ_AND_WRITE.1),
         _ => return Err(ExceptionCode::IllegalFunction),
     };
-    let count = |at: usize| Some(u16::from_be_bytes([*request.get(at)?, *request.get(at + 1)?]));
-    let is_possible = |at: usize| count(at).is_some_and(|count| (1..=MAX_WRITE).contains(&count));
-    if !count_at.is_none_or(is_possible) {
+    if count_at.is_some_and(|at| !has_valid_count(&request, at)) {
         return Err(ExceptionCode::IllegalDataValue);
     }
     // The function code is known, so the rest of the request is wrong.
     Request::try_from(request).map_err(|_| ExceptionCode::IllegalDataValue)
+}
+
+/// Whether the number at this position is a number of registers that a request can write.
+fn has_valid_count(request: &[u8], at: usize) -> bool {
+    match request.get(at..) {
+        Some([high, low, ..]) => (1..=MAX_WRITE).contains(&u16::from_be_bytes([*high, *low])),
+        _ => false,
+    }
 }
 
 /// Returns the address and the registers that a request writes; `None` if it writes none.

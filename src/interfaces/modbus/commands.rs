@@ -90,13 +90,15 @@ impl CommandRegisters {
         let recipe = u8::try_from(self.recipe).map_err(|_| OutOfRange)?;
         let uses_recipe = recipe != 0;
         let overrides = self.options & OVERRIDE_RECIPE != 0;
-        // 0 leaves the recipe's value as it is.
-        let is_given = |register: bool| if uses_recipe { overrides && register } else { true };
+        // Beside a recipe, 0 leaves the recipe's value as it is.
+        let has_width = !uses_recipe || (overrides && self.width != 0);
+        let has_speed = !uses_recipe || (overrides && self.speed != 0);
+        let has_force = has_force && self.force != 0 && (!uses_recipe || overrides);
         let given = [
             ("recipe", uses_recipe, json!(recipe)),
-            ("width_mm", is_given(self.width != 0), json!(self.width_mm())),
-            ("speed_mm_s", is_given(self.speed != 0), json!(tenths(self.speed))),
-            ("force_n", has_force && self.force != 0 && is_given(true), json!(tenths(self.force))),
+            ("width_mm", has_width, json!(self.width_mm())),
+            ("speed_mm_s", has_speed, json!(tenths(self.speed))),
+            ("force_n", has_force, json!(tenths(self.force))),
         ];
         let fields = given.into_iter().filter(|(_, is_given, _)| *is_given);
         Ok(Value::Object(fields.map(|(name, _, value)| (name.to_owned(), value)).collect()))

@@ -167,10 +167,10 @@ impl Image {
         let flags = self.flags();
         let before = self.commands();
         self.outputs.set(address, words).ok_or(WriteError::Address)?;
-        let writes = |register: u16| (address..address.saturating_add(words.len() as u16)).contains(&register);
-        self.is_fieldbus_prepared |= writes(FLAGS_AT) && self.flags().is_empty();
+        let written = address..address.saturating_add(words.len() as u16);
+        self.is_fieldbus_prepared |= written.contains(&FLAGS_AT) && self.flags().is_empty();
         let after = self.commands();
-        self.is_prepared |= writes(COMMAND_AT) && after.command == 0;
+        self.is_prepared |= written.contains(&COMMAND_AT) && after.command == 0;
         if after.heartbeat != before.heartbeat {
             self.alive_at = now;
         }

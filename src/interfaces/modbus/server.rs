@@ -31,10 +31,10 @@ pub async fn serve(
     let settings = NewestSettings::of(settings);
     let admission = Admission::new(Bounds::alike(descriptors));
     let admitting = admission.clone();
-    let admit = move |stream, peer| {
+    let clients = accept::each(&listener, &admission, &draining, adu::begins_with_write, move |stream, peer| {
         admit(&context, &settings, &admitting, stream, peer).map(|connection| connection.run(closing.clone()))
-    };
-    let mut clients = accept::each(&listener, &admission, &draining, adu::begins_with_write, admit).await;
+    });
+    let mut clients = clients.await;
     drop(listener);
     while clients.join_next().await.is_some() {}
     Ok(())

@@ -69,6 +69,6 @@ impl MessageResult {
 
 /// Serialises the result of a request.
 pub fn raw(body: &impl serde::Serialize) -> Result<Box<RawValue>, RpcError> {
-    let problem = |error| Problem::new(Code::Internal, format!("response could not be serialised: {error}"));
-    to_raw_value(body).map_err(|error| problem(error).into())
+    to_raw_value(body)
+        .map_err(|error| Problem::new(Code::Internal, format!("response could not be serialised: {error}")).into())
 }

@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use super::rpc::{self, Incoming, MAX_BATCH, RpcCall};
+use super::rpc::{self, Incoming, MAX_BATCH};
 use crate::operations::Method;
 use crate::operations::json::StrictJson;
 
@@ -16,10 +16,9 @@ pub(crate) fn message(data: &[u8]) {
     let value = serde_json::from_str(text).ok().map(|StrictJson(value)| value);
     let method = value.as_ref().and_then(|value| value.get("method")).and_then(Value::as_str);
     let has_to_stop = if value.is_some() { method.is_some_and(is_fast_stop) } else { rpc::has_fast_stop(text) };
-    let stops = |call: &Result<RpcCall, _>| call.as_ref().is_ok_and(|call| call.method.is_fast_stop());
     let calls = match rpc::parse(text) {
         Incoming::One(call) => {
-            assert!(!has_to_stop || stops(&call), "a FAST STOP was refused: {call:?}");
+            assert!(!has_to_stop || rpc::is_fast_stop(&call), "a FAST STOP was refused: {call:?}");
             vec![call]
         }
         Incoming::Batch(calls) => {

@@ -139,79 +139,85 @@ pub fn has_fast_stop(text: &str) -> bool {
 
 /// Parses a message. An invalid or oversized message that names a FAST STOP is a FAST STOP of all grippers.
 pub fn parse(text: &str) -> Incoming {
-    let fast_stop = || {
-        let method = RpcMethod::Operation(fast_stop_in(text)?);
-        Some(RpcCall { id: Some(Value::Null), method, params: Value::Null, label: None })
-    };
-    let invalid = |code, problem: Problem| {
-        Incoming::One(fast_stop().ok_or_else(|| RpcResponse::invalid(Value::Null, code, problem)))
-    };
-    let is_fast_stop = |call: &Result<RpcCall, _>| call.as_ref().is_ok_and(|call| call.method.is_fast_stop());
     if text.len() > MAX_BODY_BYTES {
         let detail = format!("the message has {} bytes; at most {MAX_BODY_BYTES} are allowed", text.len());
-        return invalid(INVALID_REQUEST, Problem::new(Code::TooLarge, detail));
+        return invalid_message(text, INVALID_REQUEST, Problem::new(Code::TooLarge, detail));
     }
     match serde_json::from_slice(without_byte_order_mark(text.as_bytes())).map(|StrictJson(message)| message) {
         Err(error) => {
             let code = if error.is_data() { INVALID_REQUEST } else { PARSE_ERROR };
-            invalid(code, json::invalid("JSON", &error))
+            invalid_message(text, code, json::invalid("JSON", &error))
         }
         Ok(Value::Array(batch)) if batch.is_empty() => {
-            invalid(INVALID_REQUEST, malformed("the batch is empty".to_owned()))
+            invalid_message(text, INVALID_REQUEST, malformed("the batch is empty".to_owned()))
         }
         Ok(Value::Array(batch)) if batch.len() > MAX_BATCH => {
             let detail = format!("the batch has {} requests; at most {MAX_BATCH} are allowed", batch.len());
-            invalid(INVALID_REQUEST, malformed(detail))
+            invalid_message(text, INVALID_REQUEST, malformed(detail))
         }
         Ok(Value::Array(batch)) => {
             let mut calls: Vec<_> = batch.into_iter().map(call).collect();
             if !calls.iter().any(is_fast_stop)
                 && let Some(invalid) = calls.iter_mut().find(|call| call.is_err())
-                && let Some(fast_stop) = fast_stop()
+                && let Some(fast_stop) = fast_stop_of_all(text)
             {
                 *invalid = Ok(fast_stop);
             }
             Incoming::Batch(calls)
         }
-        Ok(one) => Incoming::One(call(one).or_else(|refused| fast_stop().ok_or(refused))),
+        Ok(one) => Incoming::One(call(one).or_else(|refused| fast_stop_of_all(text).ok_or(refused))),
     }
+}
+
+pub fn is_fast_stop(call: &Result<RpcCall, RpcResponse>) -> bool {
+    call.as_ref().is_ok_and(|call| call.method.is_fast_stop())
+}
+
+/// Refuses a message as invalid, unless it names a FAST STOP.
+fn invalid_message(text: &str, code: i32, problem: Problem) -> Incoming {
+    Incoming::One(fast_stop_of_all(text).ok_or_else(|| RpcResponse::invalid(Value::Null, code, problem)))
+}
+
+/// Returns the FAST STOP of all grippers that an invalid message counts as, if it names one.
+fn fast_stop_of_all(text: &str) -> Option<RpcCall> {
+    let method = RpcMethod::Operation(fast_stop_in(text)?);
+    Some(RpcCall { id: Some(Value::Null), method, params: Value::Null, label: None })
 }
 
 /// Parses a request. A request for a FAST STOP is accepted even if malformed.
 fn call(mut request: Value) -> Result<RpcCall, RpcResponse> {
-    let mut take = |key: &str| request.get_mut(key).map(Value::take);
-    let version = take("jsonrpc");
-    let id = take("id");
-    let method = take("method");
-    let params = take("params");
-    let params = params.unwrap_or_default();
-    let label = match take("client") {
+    let version = take(&mut request, "jsonrpc");
+    let id = take(&mut request, "id");
+    let method = take(&mut request, "method");
+    let params = take(&mut request, "params").unwrap_or_default();
+    let label = match take(&mut request, "client") {
         Some(Value::String(label)) => Some(label),
         _ => None,
-    };
-    // A number that can't be repeated exactly identifies nothing, and a long string would be kept until the response is
-    // read.
-    let is_id = |id: &Value| match id {
-        Value::String(text) => text.len() <= MAX_ID_BYTES,
-        id => id.is_i64() || id.is_u64() || id.is_null(),
     };
     let known_id = id.as_ref().filter(|id| is_id(id)).cloned();
     let method = match method.as_ref().and_then(Value::as_str).map(RpcMethod::named) {
         Some(method) if method.is_fast_stop() => return Ok(RpcCall { id: known_id, method, params, label }),
         method => method,
     };
-    let invalid = |detail: &str| {
-        Err(RpcResponse::invalid(known_id.clone().unwrap_or_default(), INVALID_REQUEST, malformed(detail.to_owned())))
+    let detail = match method {
+        _ if version.as_ref().and_then(Value::as_str) != Some(VERSION) => "jsonrpc must be \"2.0\"",
+        _ if known_id.is_none() && id.is_some() => "id must be a string of at most 64 bytes or an integer below 2^64",
+        Some(method) => return Ok(RpcCall { id, method, params, label }),
+        None => "method must be a string",
     };
-    if version.as_ref().and_then(Value::as_str) != Some(VERSION) {
-        return invalid("jsonrpc must be \"2.0\"");
-    }
-    if known_id.is_none() && id.is_some() {
-        return invalid("id must be a string of at most 64 bytes or an integer below 2^64");
-    }
-    match method {
-        Some(method) => Ok(RpcCall { id, method, params, label }),
-        None => invalid("method must be a string"),
+    Err(RpcResponse::invalid(known_id.unwrap_or_default(), INVALID_REQUEST, malformed(detail.to_owned())))
+}
+
+fn take(request: &mut Value, key: &str) -> Option<Value> {
+    request.get_mut(key).map(Value::take)
+}
+
+/// Whether a request can have this id. A number that can't be repeated exactly identifies nothing, and a long string
+/// would be kept until the response is read.
+fn is_id(id: &Value) -> bool {
+    match id {
+        Value::String(text) => text.len() <= MAX_ID_BYTES,
+        id => id.is_i64() || id.is_u64() || id.is_null(),
     }
 }
 

@@ -125,11 +125,10 @@ impl Socket {
         (client, visitor): (Client, Visitor),
         context: Context,
     ) -> io::Result<Box<Self>> {
-        let held = || permit.as_ref().map(ConnectionPermit::held);
         let runtimes = &context.runtimes;
         let (reader, writer) = halves::split(stream, &runtimes.sockets, &runtimes.observers)?;
-        let outbox = Arc::new(Outbox::new(held()));
-        let inbound = Inbound::new(early, reader, outbox.clone(), held());
+        let outbox = Arc::new(Outbox::new(permit.as_ref().map(ConnectionPermit::held)));
+        let inbound = Inbound::new(early, reader, outbox.clone(), permit.as_ref().map(ConnectionPermit::held));
         let writer = Writer::new(writer, outbox.clone(), context.metrics.clone());
         let writer = AbortOnDropHandle::new(runtimes.observers.spawn(writer.run()));
         let bounds = WebSocketConfig::default()
@@ -143,7 +142,7 @@ impl Socket {
             client,
             visitor,
             is_subscribed: false,
-            held: held(),
+            held: permit.as_ref().map(ConnectionPermit::held),
             permit,
             outbox,
             writer,
@@ -217,10 +216,11 @@ impl Socket {
     /// Ends the leases of grippers that the client may no longer move, as if their holder were lost.
     fn lose_forbidden_leases(&mut self) {
         let identity = self.visitor.identity(&self.context.gateway.access);
-        let may_move =
-            |gripper: &Name| identity.as_ref().is_ok_and(|identity| identity.may(Right::Operate, Some(gripper)));
-        // They stay in the list until they are lost, in case the socket ends before, but are not kept alive any more.
-        for (_, (lease, _)) in self.leases.iter_mut().filter(|(gripper, _)| !may_move(gripper)) {
+        for (gripper, (lease, _)) in &mut self.leases {
+            if identity.as_ref().is_ok_and(|identity| identity.may(Right::Operate, Some(gripper))) {
+                continue;
+            }
+            // The lease stays in the list until it is lost, in case the socket ends before, but nothing keeps it alive.
             *lease = Arc::new(lease.without_keep());
             let lease = lease.clone();
             self.calls.push(
@@ -292,30 +292,25 @@ impl Socket {
 
     /// Begins a request.
     pub(super) fn answered(&self, call: Result<RpcCall, RpcResponse>) -> BoxFuture<'static, Answered> {
-        let ready = |answered| std::future::ready(answered).boxed();
         let RpcCall { id, method, params, label } = match call {
             Ok(call) => call,
             Err(answer) => return ready(Answered { answer: Some(answer), ..Answered::default() }),
         };
-        let refused = |problem: Problem| Err(RpcError::from(problem));
         if let Some(detail) = self.overload().filter(|_| !method.is_fast_stop()) {
-            let refused = refused(Problem::new(Code::Overloaded, detail));
-            return ready(Answered { answer: id.map(|id| RpcResponse::new(id, refused)), ..Answered::default() });
+            return ready(Answered::new(id, Err(Problem::new(Code::Overloaded, detail))));
         }
         let method = match method {
             RpcMethod::Operation(method) => method,
             RpcMethod::Subscribe => {
                 let allowed = self.check_read().and_then(|()| bodies::subscribe(&self.context.gateway, &params));
-                return ready(match allowed.map(|(body, following)| (raw(&body), following)) {
+                return ready(match allowed {
                     Ok((body, following)) => Answered {
-                        answer: id.map(|id| RpcResponse::new(id, body)),
+                        answer: id.map(|id| RpcResponse::new(id, raw(&body))),
                         following: Some(following),
                         lease: None,
                         running: None,
                     },
-                    Err(problem) => {
-                        Answered { answer: id.map(|id| RpcResponse::new(id, refused(problem))), ..Answered::default() }
-                    }
+                    Err(problem) => Answered::new(id, Err(problem)),
                 });
             }
             RpcMethod::Unknown(problem) => {
@@ -405,4 +400,8 @@ impl Socket {
             self.leases.insert(lease.gripper().clone(), (lease, pin));
         }
     }
+}
+
+fn ready(answered: Answered) -> BoxFuture<'static, Answered> {
+    std::future::ready(answered).boxed()
 }

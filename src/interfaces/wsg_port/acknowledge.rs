@@ -10,7 +10,7 @@ use tokio::time::timeout;
 
 use crate::gripper::handle::FAST_STOP_WAIT;
 use crate::gripper::{Conflict, Handle, Rejection};
-use crate::model::{Client, FastStopCause, FastStopId, LatchFields, State};
+use crate::model::{Client, FastStopCause, FastStopId, LatchFields};
 
 /// Acknowledges a FAST STOP. A driver that connects again just after its connection was lost sends 24h before the device
 /// has confirmed the FAST STOP for that loss.
@@ -20,9 +20,9 @@ pub(super) async fn acknowledge(gripper: &Handle, id: FastStopId, client: Client
         return result;
     }
     let mut states = gripper.states();
-    let is_confirmed = |state: &Arc<State>| state.latch.as_ref().is_none_or(|latch| latch.fast_stop_confirmed);
+    let confirmed = states.wait_for(|state| state.latch.as_ref().is_none_or(|latch| latch.fast_stop_confirmed));
     // Without a confirmation, the second attempt is refused for the same reason.
-    let _ = timeout(FAST_STOP_WAIT, states.wait_for(is_confirmed)).await;
+    let _ = timeout(FAST_STOP_WAIT, confirmed).await;
     gripper.acknowledge(id, client).await
 }
 

@@ -212,8 +212,8 @@ impl VirtualDevice {
 
     /// Whether the client has announced its disconnect, including in a waiting request.
     pub(super) fn has_announced(&self) -> bool {
-        let announces = |request: &WaitingRequest| matches!(request.command, Ok(Command::DisconnectAnnouncement));
-        self.announced || self.waiting.iter().any(announces)
+        self.announced
+            || self.waiting.iter().any(|request| matches!(request.command, Ok(Command::DisconnectAnnouncement)))
     }
 
     /// Whether no request is running or waiting, and no frame waits to be sent.

@@ -69,12 +69,15 @@ pub enum LimitsPolicy {
 
 /// A force, like those on the line.
 fn max_force() -> SettingValue<Option<f32>> {
-    let parse = |force_n: f64| match force_n as f32 {
-        force_n if force_n.is_finite() && force_n > 0.0 => Ok(Some(force_n)),
-        force_n => Err(format!("is {force_n}; it must be a force in N above 0")),
-    };
     let default = "none: with `\"fixed\"`, every Set Force Limit (32h) is refused";
-    parsed(None, "", "above 0", parse).shown(default, "40")
+    parsed(None, "", "above 0", |force_n: f64| parse_max_force(force_n).map(Some)).shown(default, "40")
+}
+
+fn parse_max_force(force_n: f64) -> Result<f32, String> {
+    match force_n as f32 {
+        force_n if force_n.is_finite() && force_n > 0.0 => Ok(force_n),
+        force_n => Err(format!("is {force_n}; it must be a force in N above 0")),
+    }
 }
 
 impl Rules {

@@ -28,8 +28,10 @@ pub(super) async fn serve(
     let admission = port.admission();
     let admitting = admission.clone();
     let ends = closing.clone();
-    let admit = move |stream, peer| admit(&port, stream, peer, &admitting).map(|served| served.run(ends.clone()));
-    let mut clients = accept::each(&listener, &admission, &draining, begins_with_fast_stop, admit).await;
+    let clients = accept::each(&listener, &admission, &draining, begins_with_fast_stop, move |stream, peer| {
+        admit(&port, stream, peer, &admitting).map(|served| served.run(ends.clone()))
+    });
+    let mut clients = clients.await;
     let listener = closing.is_cancelled().then_some(listener);
     while clients.join_next().await.is_some() {}
     listener

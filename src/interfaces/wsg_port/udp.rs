@@ -123,8 +123,10 @@ pub(super) async fn serve(
         let answered_at = SocketAddr::new(peer.ip(), reply_port.unwrap_or(peer.port()));
         let now = clock::instant();
         // After a silence, another source port means another program, which has not requested the client's updates.
-        let is_same = |client: &&mut UdpClient| client.source == peer.port() || now < client.heard + lost_after;
-        let client = known.get_mut(&answered_at).filter(|client| !client.datagrams.is_closed()).filter(is_same);
+        let client = known
+            .get_mut(&answered_at)
+            .filter(|client| !client.datagrams.is_closed())
+            .filter(|client| client.source == peer.port() || now < client.heard + lost_after);
         if let Some(client) = client {
             (client.source, client.heard, client.outage) = (peer.port(), now, Outage::default());
             // A full queue means that the client sends too fast: drop the datagram.

@@ -118,11 +118,18 @@ impl KnownClients {
 
     /// Makes room for the token of a client that takes a lease, by dropping a token without a lease.
     fn make_room(&mut self) {
-        if self.tokens.len() >= MAX_TOKENS {
-            let holds = |name: &String| self.leases.values().any(|bound| bound.bond == Some(Bond::Token(name.clone())));
-            let foreign = self.tokens.keys().find(|name| !holds(name)).cloned();
-            foreign.map(|name| self.tokens.remove(&name));
+        if self.tokens.len() < MAX_TOKENS {
+            return;
         }
+        let foreign = self.tokens.keys().find(|name| !self.binds_lease(name)).cloned();
+        if let Some(name) = foreign {
+            self.tokens.remove(&name);
+        }
+    }
+
+    /// Whether a lease is bound to the token of this name.
+    fn binds_lease(&self, name: &str) -> bool {
+        self.leases.values().any(|bound| matches!(&bound.bond, Some(Bond::Token(token)) if token == name))
     }
 }
 
@@ -134,12 +141,17 @@ impl Clients {
     /// Watches client tokens and connections, including existing ones.
     pub async fn declare(self: &Arc<Self>, session: &zenoh::Session) -> zenoh::Result<()> {
         let clients = self.clone();
-        let watch = move |event: TransportEvent| clients.connection(*event.transport().zid(), event.kind());
-        session.info().transport_events_listener().history(true).callback(watch).background().await?;
+        let events = session.info().transport_events_listener().history(true);
+        let events = events.callback(move |event: TransportEvent| {
+            clients.connection(*event.transport().zid(), event.kind());
+        });
+        events.background().await?;
         let clients = self.clone();
-        let watch = move |token: Sample| clients.token(last_part(token.key_expr().as_str()), token.kind());
         let tokens = session.liveliness().declare_subscriber(self.keys.own("client/*")).history(true);
-        tokens.callback(watch).background().await?;
+        let tokens = tokens.callback(move |token: Sample| {
+            clients.token(last_part(token.key_expr().as_str()), token.kind());
+        });
+        tokens.background().await?;
         // Each gateway has one session, so this is the first call.
         let _ = self.session.set(session.clone());
         Ok(())
@@ -176,8 +188,8 @@ impl Clients {
     /// Whether this token belongs to a bound lease. Open queries keep a bound lease alive until its bond ends.
     pub fn has_bound(&self, gripper: &str, token: &str) -> bool {
         let known = self.known();
-        let is_bound = |bound: &BoundLease| bound.bond.as_ref().is_some_and(|bond| known.has(bond));
-        known.lease(gripper, token).is_some_and(is_bound)
+        let bond = known.lease(gripper, token).and_then(|bound| bound.bond.as_ref());
+        bond.is_some_and(|bond| known.has(bond))
     }
 
     /// Returns the slots of the lease with this token, if it is the gripper's newest lease taken via Zenoh.
@@ -209,8 +221,8 @@ impl Clients {
     }
 
     fn lose_forbidden_leases(&self) {
-        let holder = |bound: &BoundLease| (bound.taken.clone(), bound.credential.clone());
-        let holders: Vec<_> = self.known().leases.values().map(holder).collect();
+        let holders: Vec<_> =
+            self.known().leases.values().map(|bound| (bound.taken.clone(), bound.credential.clone())).collect();
         for (taken, credential) in holders {
             let identity = identity(&self.access, &credential);
             if identity.is_ok_and(|identity| identity.may(Right::Operate, Some(taken.gripper()))) {

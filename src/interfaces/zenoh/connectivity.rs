@@ -35,10 +35,7 @@ impl Connectivity {
     /// without endpoints, if one has an `exit_on_failure` of its own, or if a name service that is down could delay one.
     #[must_use]
     pub fn without_retries(&self) -> Option<zenoh::Config> {
-        let opens_at_once = |endpoint: EndPoint| {
-            endpoint.config().get("exit_on_failure").is_none() && is_known_host(endpoint.address().as_str())
-        };
-        if self.listen.is_empty() || !self.listen.iter().all(|text| text.parse().is_ok_and(opens_at_once)) {
+        if self.listen.is_empty() || !self.listen.iter().all(|endpoint| opens_at_once(endpoint)) {
             return None;
         }
         let mut config = self.config.clone();
@@ -85,8 +82,10 @@ impl Connectivity {
     /// Returns why nothing listens at these endpoints. Runs on a blocking thread, since name resolution can block.
     async fn why_not_at(&self, endpoints: Vec<String>) -> Vec<String> {
         let config = self.config.clone();
-        let look = move || endpoints.iter().map(|endpoint| why_not(&config, endpoint)).collect();
-        tokio::task::spawn_blocking(look).await.unwrap_or_default()
+        let causes = tokio::task::spawn_blocking(move || {
+            endpoints.iter().map(|endpoint| why_not(&config, endpoint)).collect::<Vec<_>>()
+        });
+        causes.await.unwrap_or_default()
     }
 
     /// Returns the cause if none of the configured endpoints is connected.
@@ -185,6 +184,12 @@ fn why_not(config: &zenoh::Config, endpoint: &str) -> String {
         Err(error) => error.to_string(),
     };
     format!("Zenoh cannot listen on {endpoint}: {why}")
+}
+
+/// Whether an endpoint leaves `exit_on_failure` to the session, and needs no name service.
+fn opens_at_once(endpoint: &str) -> bool {
+    let Ok(endpoint) = endpoint.parse::<EndPoint>() else { return false };
+    endpoint.config().get("exit_on_failure").is_none() && is_known_host(endpoint.address().as_str())
 }
 
 /// Whether the host is an IP address, or a name that the machine knows itself.

@@ -3,7 +3,7 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use serde_json::Value;
+use serde_json::{Map, Value};
 use tokio::runtime::Handle;
 use zenoh::sample::{Sample, SampleKind};
 
@@ -102,15 +102,16 @@ fn asked(payload: &[u8]) -> (Client, Reason) {
     let payload = payload.get(..MAX_REASON_BYTES).unwrap_or(payload);
     let text = String::from_utf8_lossy(without_byte_order_mark(payload));
     let (name, reason) = match serde_json::from_str(&text) {
-        Ok(Value::Object(body)) => {
-            let field = |name: &str| body.get(name).and_then(Value::as_str).unwrap_or_default().to_owned();
-            (field("client"), field("reason"))
-        }
+        Ok(Value::Object(body)) => (text_field(&body, "client"), text_field(&body, "reason")),
         Ok(Value::String(reason)) => (String::new(), reason),
         _ => (String::new(), text.into_owned()),
     };
     let name = ShownName::new(&name).ok().filter(|name| !name.as_str().is_empty());
     (client(name.as_ref()), Reason::truncated(&reason))
+}
+
+fn text_field(body: &Map<String, Value>, name: &str) -> String {
+    body.get(name).and_then(Value::as_str).unwrap_or_default().to_owned()
 }
 
 #[cfg(test)]

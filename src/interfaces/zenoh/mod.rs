@@ -22,6 +22,7 @@ mod clients;
 mod connectivity;
 mod fast_stop;
 mod open;
+mod payloads;
 mod publications;
 mod queries;
 

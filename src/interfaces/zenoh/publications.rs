@@ -37,19 +37,12 @@ pub struct Publications {
 
 impl Publications {
     pub async fn declare(session: &zenoh::Session, keys: &ZenohKeys, handle: &Handle) -> zenoh::Result<Self> {
-        let publisher = |what, priority| {
-            let publisher = session.declare_publisher(keys.gripper(handle.name(), what));
-            publisher
-                .encoding(Encoding::APPLICATION_JSON)
-                .priority(priority)
-                .congestion_control(CongestionControl::Drop)
-        };
         Ok(Self {
             session: session.clone(),
             handle: handle.clone(),
             alive_key: keys.gripper(handle.name(), "alive"),
-            state: publisher("state", Priority::Data).await?,
-            telemetry: publisher("telemetry", Priority::DataLow).await?,
+            state: declare_publisher(session, keys.gripper(handle.name(), "state"), Priority::Data).await?,
+            telemetry: declare_publisher(session, keys.gripper(handle.name(), "telemetry"), Priority::DataLow).await?,
             alive: None,
             published: None,
         })
@@ -112,6 +105,16 @@ impl Publications {
             _ => {}
         }
     }
+}
+
+/// Declares a publisher of JSON, which drops what a slow subscriber does not take.
+async fn declare_publisher(
+    session: &zenoh::Session,
+    key: String,
+    priority: Priority,
+) -> zenoh::Result<Publisher<'static>> {
+    let publisher = session.declare_publisher(key).encoding(Encoding::APPLICATION_JSON);
+    publisher.priority(priority).congestion_control(CongestionControl::Drop).await
 }
 
 fn publish(publisher: &Publisher<'_>, notification: &Notification) {

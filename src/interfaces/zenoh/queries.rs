@@ -8,7 +8,6 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use serde::Deserialize;
 use serde_json::value::{RawValue, to_raw_value};
 use serde_json::{Map, Value};
 use tokio::runtime::Handle;
@@ -19,13 +18,13 @@ use zenoh::query::{Query, Queryable};
 use zenoh::session::ZenohId;
 
 use super::client::{client, identity};
-use super::clients::{Bond, Clients, MAX_QUERIES};
+use super::clients::{Clients, MAX_QUERIES};
+use super::payloads::{body, holder, problem_json, with_bond};
 use crate::access::{Credential, Identity, Right, Unauthorized};
 use crate::fleet::keys::{COMMAND, ZenohKeys, decoded, last_part};
 use crate::fleet::{EVENTS, GRIPS, READINESS, TOKEN};
 use crate::interfaces::metrics::InterfaceMetrics;
 use crate::model::{Client, Door, Name, Text, Urgency};
-use crate::operations::json::{self, MAX_BODY_BYTES};
 use crate::operations::nearest::did_you_mean;
 use crate::operations::readiness::Readiness;
 use crate::operations::records::RecordList;
@@ -63,9 +62,6 @@ const GRIPPER_READS: [&Operation; 2] = [&grippers::STATE, &grippers::INFO];
 
 /// Field that names the gripper, like the key.
 const GRIPPER: &str = "gripper";
-
-/// Field of the reply to `lease.take` that says what binds the lease.
-const BOUND_TO: &str = "bound_to";
 
 /// The queryables of one gateway.
 #[derive(Debug)]
@@ -111,7 +107,6 @@ impl Queries {
     /// Returns queryables that run on the caller's runtime.
     pub fn new(keys: ZenohKeys, gateway: &Arc<Gateway>, clients: Arc<Clients>, metrics: InterfaceMetrics) -> Self {
         let runtime = Handle::current();
-        let semaphore = |slots| Arc::new(Semaphore::new(slots));
         let [slots, waiting_slots, stop_slots, lease_slots] = [MAX_QUERIES; 4].map(semaphore);
         Self {
             keys,
@@ -138,37 +133,43 @@ impl Queries {
         session: &zenoh::Session,
         gripper: &Name,
     ) -> zenoh::Result<[Queryable<()>; 3]> {
-        let read = |operation: &'static Operation| {
-            let queries = self.clone();
-            let key = self.keys.gripper(gripper, operation.name);
-            let params = Map::from_iter([(GRIPPER.to_owned(), gripper.as_str().into())]);
-            let answered = key.clone();
-            let answer = move |query: Query| queries.read(query, answered.clone(), operation, params.clone());
-            session.declare_queryable(key).callback(answer)
-        };
+        let [state, info] = GRIPPER_READS;
+        let state = self.declare_read(session, gripper, state).await?;
+        let info = self.declare_read(session, gripper, info).await?;
         let queries = self.clone();
         let name = gripper.clone();
-        let key = self.keys.command(Some(gripper), "*");
-        let answer = move |query: Query| queries.command(query, Some(&name));
-        let commands = session.declare_queryable(key).callback(answer);
-        let [state, info] = GRIPPER_READS.map(read);
-        Ok([state.await?, info.await?, commands.await?])
+        let commands = session.declare_queryable(self.keys.command(Some(gripper), "*"));
+        let commands = commands.callback(move |query| queries.command(query, Some(&name))).await?;
+        Ok([state, info, commands])
+    }
+
+    async fn declare_read(
+        self: &Arc<Self>,
+        session: &zenoh::Session,
+        gripper: &Name,
+        operation: &'static Operation,
+    ) -> zenoh::Result<Queryable<()>> {
+        let queries = self.clone();
+        let key = self.keys.gripper(gripper, operation.name);
+        let params = Map::from_iter([(GRIPPER.to_owned(), gripper.as_str().into())]);
+        let queryable = session.declare_queryable(key.clone());
+        queryable.callback(move |query| queries.read(query, key.clone(), operation, params.clone())).await
     }
 
     /// Declares the queryables of the gateway and of the fleet.
     pub async fn declare(self: &Arc<Self>, session: &zenoh::Session) -> zenoh::Result<()> {
         for what in [EVENTS, GRIPS, READINESS] {
             let queries = self.clone();
-            let answer = move |query: Query| queries.of_gateway(query, what);
-            session.declare_queryable(self.keys.own(what)).callback(answer).background().await?;
+            let reads = session.declare_queryable(self.keys.own(what));
+            reads.callback(move |query| queries.of_gateway(query, what)).background().await?;
         }
         let queries = self.clone();
-        let answer = move |query: Query| queries.command(query, None);
-        session.declare_queryable(self.keys.command(None, "*")).callback(answer).background().await?;
+        let commands = session.declare_queryable(self.keys.command(None, "*"));
+        commands.callback(move |query| queries.command(query, None)).background().await?;
         let queries = self.clone();
         let key = self.keys.own("fleet");
-        let answer = move |query: Query| queries.read(query, queries.keys.own("fleet"), &fleet::LIST, Map::new());
-        session.declare_queryable(key).callback(answer).background().await
+        let list = session.declare_queryable(key.clone());
+        list.callback(move |query| queries.read(query, key.clone(), &fleet::LIST, Map::new())).background().await
     }
 
     fn read(self: &Arc<Self>, query: Query, key: String, operation: &'static Operation, params: Map<String, Value>) {
@@ -237,21 +238,17 @@ impl Queries {
                           FAST STOPs can have wildcards";
             return Err(Problem::malformed("key", detail));
         }
-        let is_here = |operation: &Operation| operation.is_of_gripper() == gripper.is_some();
-        let Some(method) = method.filter(|method| method.operations().any(is_here)) else {
-            let here = operations::all().filter(|operation| is_here(operation));
-            let suggestion = did_you_mean(name_in_key, here.map(|operation| operation.name));
-            let detail = format!("such command{suggestion}; /api/v1/asyncapi.yaml lists all commands");
-            return Err(Problem::not_found(detail));
-        };
+        let of_gripper = gripper.is_some();
+        let known =
+            method.filter(|method| method.operations().any(|operation| operation.is_of_gripper() == of_gripper));
+        let Some(method) = known else { return Err(no_such_command(name_in_key, of_gripper)) };
         if self.gateway.peers.has_twin() && method.urgency() == Urgency::None {
             let detail = "another gateway on the Zenoh network has the same name and would also run this command: give \
                           each its own --name";
             return Err(Problem::new(Code::NameTaken, detail));
         }
         let payload = query.payload().map(zenoh::bytes::ZBytes::to_bytes).unwrap_or_default();
-        let given = |key| query.parameters().get(key).filter(|given| !given.is_empty()).map(decoded);
-        let client_name = given(CLIENT).map(|given| name(CLIENT, &given)).transpose();
+        let client_name = parameter(query, CLIENT).map(|given| name(CLIENT, &given)).transpose();
         let ignores_mistakes = method.shared().ignores_mistakes;
         let (mut params, client_name) = if ignores_mistakes {
             (body(&payload).unwrap_or_default(), client_name.unwrap_or_default())
@@ -265,17 +262,17 @@ impl Queries {
                 return Err(Problem::malformed(GRIPPER, "gripper differs from the gripper in the key"));
             }
         }
-        let zid =
-            given(ZID).filter(|_| method == Method::from(&lease::TAKE)).map(|zid| session_id(&zid)).transpose()?;
+        let takes_lease = method == Method::from(&lease::TAKE);
+        let zid = parameter(query, ZID).filter(|_| takes_lease).map(|zid| session_id(&zid)).transpose()?;
         Ok(ParsedQuery {
             key,
             method,
             params,
-            wait_ms: given(WAIT_MS),
+            wait_ms: parameter(query, WAIT_MS),
             zid,
-            lease: given(LEASE),
-            request_id: given(REQUEST_ID),
-            credential: given(TOKEN).map_or(Credential::None, |token| Credential::of_token(&token)),
+            lease: parameter(query, LEASE),
+            request_id: parameter(query, REQUEST_ID),
+            credential: parameter(query, TOKEN).map_or(Credential::None, |token| Credential::of_token(&token)),
             client: client(client_name.as_ref()),
         })
     }
@@ -316,7 +313,7 @@ impl Queries {
                 let name = gripper.parse().ok().filter(|name| self.gateway.grippers.get(name).is_some());
                 let Some(name) = name else { return self.fast_stop_all_slots.clone() };
                 let mut slots = self.fast_stop_slots.lock().unwrap_or_else(PoisonError::into_inner);
-                return slots.entry(name).or_insert_with(|| Arc::new(Semaphore::new(MAX_FAST_STOPS))).clone();
+                return slots.entry(name).or_insert_with(|| semaphore(MAX_FAST_STOPS)).clone();
             }
             Urgency::Stop => (holders.stops, &self.stop_slots),
             Urgency::Lease => (holders.others, &self.lease_slots),
@@ -397,26 +394,27 @@ impl Queries {
     }
 }
 
+fn semaphore(slots: usize) -> Arc<Semaphore> {
+    Arc::new(Semaphore::new(slots))
+}
+
+/// Returns a parameter of a query's selector. An empty one counts as absent.
+fn parameter(query: &Query, key: &str) -> Option<String> {
+    query.parameters().get(key).filter(|given| !given.is_empty()).map(decoded)
+}
+
+/// Returns the problem for a command that grippers, or the gateway itself, do not have.
+fn no_such_command(name: &str, of_gripper: bool) -> Problem {
+    let here = operations::all().filter(|operation| operation.is_of_gripper() == of_gripper);
+    let suggestion = did_you_mean(name, here.map(|operation| operation.name));
+    Problem::not_found(format!("such command{suggestion}; /api/v1/asyncapi.yaml lists all commands"))
+}
+
 /// Whether a key that matches `command/*` of a gateway means its commands. `*/*/state` matches too, and means the states
 /// of all grippers, one of which can be called `command`.
 fn is_of_gateway(key: &str) -> bool {
     let (before, method) = key.rsplit_once('/').unwrap_or_default();
     last_part(before) == COMMAND && !GRIPPER_READS.iter().any(|read| read.name == method)
-}
-
-/// Parses a query's payload, within the bounds of a request's body.
-fn body(payload: &[u8]) -> Result<Map<String, Value>, Problem> {
-    if payload.len() > MAX_BODY_BYTES {
-        let bytes = payload.len();
-        let max = MAX_BODY_BYTES;
-        let detail = format!("the payload has {bytes} bytes; at most {max} are allowed");
-        return Err(Problem::new(Code::TooLarge, detail).value(Some(bytes.into())).limits(None, Some(max.into())));
-    }
-    json::object(payload)
-}
-
-fn problem_json(problem: &Problem) -> String {
-    serde_json::to_string(problem).unwrap_or_default()
 }
 
 impl ParsedQuery {
@@ -426,26 +424,10 @@ impl ParsedQuery {
     }
 }
 
-/// Adds to the reply to `lease.take` what the lease is bound to.
-fn with_bond(lease: &RawValue, bond: Option<&Bond>) -> Option<Box<RawValue>> {
-    let mut lease: Map<String, Value> = serde_json::from_str(lease.get()).ok()?;
-    lease.insert(BOUND_TO.to_owned(), bond.map(Bond::name).into());
-    serde_json::value::to_raw_value(&lease).ok()
-}
-
 fn session_id(zid: &str) -> Result<ZenohId, Problem> {
     zid.parse().map_err(|_| {
         Problem::malformed(ZID, "zid must be the Zenoh id of the client's own session, in hexadecimal digits")
     })
-}
-
-/// Returns the holder's name in a request for a lease.
-fn holder(params: &Map<String, Value>) -> Option<String> {
-    #[derive(Deserialize)]
-    struct Take {
-        holder: String,
-    }
-    Take::deserialize(params).ok().map(|Take { holder }| holder)
 }
 
 #[cfg(test)]

@@ -207,11 +207,10 @@ impl Rates {
     /// Returns the aggregates that are due, oldest first; all of them when the journal closes.
     pub(super) fn due(&self, now: Instant, all: bool) -> Vec<Event> {
         let mut state = self.state();
-        let is_due = |since: Instant| all || now >= since + MERGED_FOR;
         let mut due: Vec<_> = state
             .merged
             .iter()
-            .filter(|(_, (since, _))| is_due(*since))
+            .filter(|(_, (since, _))| all || now >= *since + MERGED_FOR)
             .map(|(slot, (since, _))| (*since, slot.clone()))
             .collect();
         due.sort_by_key(|(since, _)| *since);
@@ -316,8 +315,8 @@ fn absorb(newest: &mut Event, older: &mut Event) {
         (Some(count), Some(older)) => *count += older,
         (_, older) => more = older.unwrap_or(1),
     }
-    let aggregated = |event: &Event| event.aggregated.map_or(0, NonZero::get);
-    newest.aggregated = NonZero::new(more + aggregated(newest) + aggregated(older));
+    more += newest.aggregated.map_or(0, NonZero::get) + older.aggregated.map_or(0, NonZero::get);
+    newest.aggregated = NonZero::new(more);
 }
 
 /// Returns the count of requests in an event; `None` if its kind has no count of its own.

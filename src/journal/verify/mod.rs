@@ -1,11 +1,12 @@
 //! Verification of a journal: reads and hashes each record, and compares it with the indexes by which it is found.
 
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use rusqlite::{Connection, OptionalExtension};
+use rusqlite::{Connection, OptionalExtension, Row};
 
 use super::chain::{Chain, memory_hash};
 use super::head::{self, Head};
@@ -294,10 +295,9 @@ impl Verifier {
         let mut statement = connection.prepare("SELECT gripper, key, value, hash FROM memory")?;
         let mut rows = statement.query([])?;
         while let Some(row) = rows.next()? {
-            let text = |i| row.get_ref(i).map(|text| text.as_bytes().map(String::from_utf8_lossy).unwrap_or_default());
-            let gripper = text(0)?;
-            let key = text(1)?;
-            let value = text(2)?;
+            let gripper = text(row, 0)?;
+            let key = text(row, 1)?;
+            let value = text(row, 2)?;
             self.report.memories += u64::from(gripper != NO_GRIPPER);
             if !row.get_ref(3)?.as_blob().is_ok_and(|hash| hash == memory_hash(&gripper, &key, &value)) {
                 self.find(format!("memory {gripper} {key}"), "changed since it was written (hash mismatch)");
@@ -328,6 +328,11 @@ impl Verifier {
             Ok(())
         });
     }
+}
+
+/// Returns a column's text; empty if the column is a number or null.
+fn text<'a>(row: &'a Row<'_>, column: usize) -> rusqlite::Result<Cow<'a, str>> {
+    Ok(row.get_ref(column)?.as_bytes().map(String::from_utf8_lossy).unwrap_or_default())
 }
 
 /// Returns a record's hash; empty if the record is missing.

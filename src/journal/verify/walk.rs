@@ -109,8 +109,8 @@ impl Walk {
 /// Returns the earliest and the latest time of a span's records.
 fn times(connection: &Connection, chain: Chain, span: i64) -> rusqlite::Result<Option<(i64, i64)>> {
     let sql = "SELECT oldest, newest FROM spans WHERE chain = ? AND span = ?";
-    let times = |row: &Row<'_>| Ok((row.get(0)?, row.get(1)?));
-    connection.prepare_cached(sql)?.query_row(params![chain.name(), span], times).optional()
+    let mut statement = connection.prepare_cached(sql)?;
+    statement.query_row(params![chain.name(), span], |row| Ok((row.get(0)?, row.get(1)?))).optional()
 }
 
 /// Parses a body.
@@ -203,26 +203,33 @@ pub(super) fn check_body(verifier: &mut Verifier, chain: Chain, seq: i64, at: i6
 impl Verifier {
     /// Notes the parts of an event that other tables repeat.
     fn event(&mut self, seq: i64, body: &Value) {
-        let text = |field: &str| body[field].as_str().unwrap_or_default().to_owned();
         match (body["kind"].as_str(), body["event"].as_str()) {
             (Some("command"), _) if body["outcome"].is_null() => {
-                self.running.insert(text("command_id"), seq);
+                self.running.insert(text_in(body, "command_id"), seq);
             }
             (Some("command"), _) => {
-                self.running.remove(&text("command_id"));
+                self.running.remove(&text_in(body, "command_id"));
             }
             (Some("gateway"), Some("pruned")) => {
                 self.shares.pruned(seq);
-                let seq = |field: &str| body[field].as_i64().unwrap_or_default();
-                self.attested.insert(Chain::Events, (seq("up_to_seq"), text("hash")));
-                self.attested.insert(Chain::Grips, (seq("grips_up_to_seq"), text("grips_hash")));
+                let events = (number_in(body, "up_to_seq"), text_in(body, "hash"));
+                let grips = (number_in(body, "grips_up_to_seq"), text_in(body, "grips_hash"));
+                self.attested.insert(Chain::Events, events);
+                self.attested.insert(Chain::Grips, grips);
             }
             (Some("gateway"), Some("head")) => {
-                let grips_seq = body["grips_up_to_seq"].as_i64().unwrap_or_default();
-                self.named_grip = (seq, grips_seq, text("grips_hash"));
+                self.named_grip = (seq, number_in(body, "grips_up_to_seq"), text_in(body, "grips_hash"));
             }
             (Some("gateway"), Some("kept")) => self.shares.kept(seq, body),
             _ => {}
         }
     }
+}
+
+fn text_in(body: &Value, field: &str) -> String {
+    body[field].as_str().unwrap_or_default().to_owned()
+}
+
+fn number_in(body: &Value, field: &str) -> i64 {
+    body[field].as_i64().unwrap_or_default()
 }

@@ -109,6 +109,11 @@ impl Members {
     }
 }
 
+/// Whether a problem can repeat the value.
+fn is_short(value: &Value) -> bool {
+    !value.is_array() && !value.is_object() && !value.is_null() && value.to_string().len() <= MAX_VALUE_BYTES
+}
+
 /// Cuts a text between two characters.
 fn cut(mut text: String, max: usize) -> String {
     text.truncate(text.floor_char_boundary(max));
@@ -173,10 +178,7 @@ impl Problem {
 
     /// Repeats the wrong value, if it is short.
     pub fn value(mut self, value: Option<Value>) -> Self {
-        let short = |value: &Value| {
-            !value.is_array() && !value.is_object() && !value.is_null() && value.to_string().len() <= MAX_VALUE_BYTES
-        };
-        self.0.value = value.filter(short);
+        self.0.value = value.filter(is_short);
         self
     }
 

@@ -232,8 +232,7 @@ impl Mechanics {
         self.steady = false;
         self.world.step(self.axis.position_mm);
         let surfaces = self.world.surfaces();
-        let is_free = |direction| surfaces.depth_mm(direction, self.axis.position_mm) < -AT_LIMIT_MM;
-        if self.blocked.is_some_and(is_free) {
+        if self.blocked.is_some_and(|direction| surfaces.depth_mm(direction, self.axis.position_mm) < -AT_LIMIT_MM) {
             self.blocked = None;
         }
         if matches!(self.activity, Activity::Rest) {

@@ -76,9 +76,8 @@ impl CanAddress {
         if interface.is_empty() || interface.len() > 15 || !matches!(url.path(), "" | "/") || url.port().is_some() {
             return Err("the interface is missing or invalid: expected a name such as can0".to_owned());
         }
-        let id = |name, default| Ok::<_, String>(options.number(name, 0..=MAX_ID)?.map_or(default, |id| id as u16));
-        let tx = id("tx", DEFAULT_TX)?;
-        let rx = id("rx", DEFAULT_RX)?;
+        let tx = options.number("tx", 0..=MAX_ID)?.map_or(DEFAULT_TX, |id| id as u16);
+        let rx = options.number("rx", 0..=MAX_ID)?.map_or(DEFAULT_RX, |id| id as u16);
         if tx == rx {
             return Err(format!("tx and rx are both {tx:#x}: requests and replies need different ids"));
         }
@@ -153,15 +152,16 @@ impl CanAddress {
 
     fn explain(&self, error: &io::Error) -> io::Error {
         let interface = &self.interface;
-        let is = |errno: Errno| error.raw_os_error() == Some(errno.raw_os_error());
-        let remedy = if is(Errno::AFNOSUPPORT) || is(Errno::PROTONOSUPPORT) {
-            "CAN sockets are not available: run sudo modprobe can-raw, or allow AF_CAN if the service is sandboxed"
-                .to_owned()
-        } else if is(Errno::PERM) || is(Errno::ACCESS) {
-            "CAN sockets are not permitted: use the host's network in a container, or allow AF_CAN in a sandbox"
-                .to_owned()
-        } else {
-            present::can_interfaces()
+        let remedy = match Errno::from_io_error(error) {
+            Some(Errno::AFNOSUPPORT | Errno::PROTONOSUPPORT) => {
+                "CAN sockets are not available: run sudo modprobe can-raw, or allow AF_CAN if the service is sandboxed"
+                    .to_owned()
+            }
+            Some(Errno::PERM | Errno::ACCESS) => {
+                "CAN sockets are not permitted: use the host's network in a container, or allow AF_CAN in a sandbox"
+                    .to_owned()
+            }
+            _ => present::can_interfaces(),
         };
         io::Error::new(error.kind(), format!("{interface} cannot be opened ({error}): {remedy}"))
     }

@@ -23,6 +23,12 @@ pub(super) struct Waiting {
     pub deadline: Instant,
 }
 
+impl Waiting {
+    fn id(&self) -> u8 {
+        self.request.command.id()
+    }
+}
+
 #[derive(Debug, Default)]
 pub(super) struct Lanes {
     fast_stop: VecDeque<Waiting>,
@@ -42,11 +48,10 @@ impl Lanes {
             Command::Stop => (&mut self.stop, MAX_WAITING),
             _ => (&mut self.rest, MAX_WAITING_PER_ID),
         };
-        let ids = || lane.iter().map(|other| other.request.command.id());
-        if !belongs_to_motion(id) && ids().filter(|other| !belongs_to_motion(*other)).count() >= MAX_WAITING {
+        if !belongs_to_motion(id) && lane.iter().filter(|other| !belongs_to_motion(other.id())).count() >= MAX_WAITING {
             return Err(NotTaken::Full { limit: MAX_WAITING });
         }
-        if ids().filter(|other| *other == id).count() >= per_id {
+        if lane.iter().filter(|other| other.id() == id).count() >= per_id {
             return Err(NotTaken::Full { limit: per_id });
         }
         lane.push_back(waiting);
@@ -93,10 +98,7 @@ impl Lanes {
     }
 
     pub(super) fn has_waiting(&self, id: u8) -> bool {
-        [&self.fast_stop, &self.stop, &self.rest]
-            .into_iter()
-            .flatten()
-            .any(|waiting| waiting.request.command.id() == id)
+        [&self.fast_stop, &self.stop, &self.rest].into_iter().flatten().any(|waiting| waiting.id() == id)
     }
 
     pub(super) fn is_empty(&self) -> bool {
@@ -110,9 +112,9 @@ fn belongs_to_motion(id: u8) -> bool {
 }
 
 fn pop_open(lane: &mut VecDeque<Waiting>, is_open: impl Fn(&Waiting) -> bool) -> Option<Waiting> {
-    let id = |waiting: &Waiting| waiting.request.command.id();
     // A request that is held back for its line time also holds back later ones of its id.
-    let is_oldest = |index, waiting| lane.iter().take(index).all(|before| id(before) != id(waiting));
-    let index = lane.iter().enumerate().position(|(index, waiting)| is_open(waiting) && is_oldest(index, waiting))?;
+    let index = lane.iter().enumerate().position(|(index, waiting)| {
+        is_open(waiting) && lane.iter().take(index).all(|before| before.id() != waiting.id())
+    })?;
     lane.remove(index)
 }

@@ -215,8 +215,8 @@ impl Slots {
 
     /// The next time at which an id opens whose echo can have overtaken a reply.
     pub(super) fn duplicate_deadline(&self) -> Option<Instant> {
-        let waits = |closed: &Closed| closed.duplicate_until.filter(|_| closed.echoed && !closed.two_step);
-        self.closed().filter_map(|(_, closed)| waits(closed)).min()
+        let overtaken = self.closed().filter(|(_, closed)| closed.echoed && !closed.two_step);
+        overtaken.filter_map(|(_, closed)| closed.duplicate_until).min()
     }
 
     /// Opens the ids that have waited long enough for a reply that the echo has overtaken.

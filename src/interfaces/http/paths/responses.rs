@@ -96,8 +96,9 @@ pub fn references(statuses: &[u16]) -> Map<String, Value> {
 }
 
 fn named(statuses: &[u16]) -> impl Iterator<Item = (&'static str, &'static str)> {
-    let is_listed = |status: &str| status.parse().is_ok_and(|status| statuses.contains(&status));
-    PROBLEMS.iter().filter(move |(status, ..)| is_listed(status)).map(|(status, name, _)| (*status, *name))
+    let listed =
+        PROBLEMS.iter().filter(move |(status, ..)| status.parse().is_ok_and(|status| statuses.contains(&status)));
+    listed.map(|(status, name, _)| (*status, *name))
 }
 
 /// Adds the responses that the operations refer to.

@@ -250,8 +250,9 @@ impl Service<Request<Incoming>> for Requests {
             response.map_ok(move |response| with_headers(response, &settings, is_last || permit.is_evicted()));
         if asked.stops() {
             // Does not depend on its connection: hyper drops a request unpolled if the client has closed already.
-            let panicked = |_| Ok(StatusCode::INTERNAL_SERVER_ERROR.into_response());
-            return tokio::spawn(response).map(move |answered| answered.unwrap_or_else(panicked)).boxed();
+            return tokio::spawn(response)
+                .map(|answered| answered.unwrap_or_else(|_| Ok(StatusCode::INTERNAL_SERVER_ERROR.into_response())))
+                .boxed();
         }
         let gone = self.gone.clone();
         let answered = async move {

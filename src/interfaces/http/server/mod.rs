@@ -94,7 +94,7 @@ impl Server {
                     self.await_fast_stop(stream, peer, slot);
                 }
                 Ok((stream, peer)) => {
-                    let permit = Arc::new(self.admission.admit(peer.ip(), &self.closing));
+                    let permit = self.admit(peer);
                     let connected = self.context.metrics.connected();
                     tokio::spawn(self.clone().begin(stream, peer, permit, connected));
                 }
@@ -113,20 +113,23 @@ impl Server {
 
     /// Admits a connection only if it begins with a FAST STOP.
     async fn admit_fast_stop(self: Arc<Self>, stream: TcpStream, peer: SocketAddr, slot: OwnedSemaphorePermit) {
-        let admit = || Arc::new(self.admission.admit(peer.ip(), &self.closing));
         let settings = self.context.settings.get();
         if settings.tls.is_some() {
             let begun = timeout(HANDSHAKE_IN_CROWD, self.decrypted(settings, stream, peer)).await;
             if let Some(begun) = begun.ok().flatten().filter(|begun| begun.is_fast_stop) {
-                self.clone().serve(begun, peer, admit(), self.context.metrics.connected());
+                self.clone().serve(begun, peer, self.admit(peer), self.context.metrics.connected());
             }
         } else {
             let is_served = accept::brings_fast_stop(&stream, may_be_fast_stop).await;
             if is_served {
-                self.clone().begin(stream, peer, admit(), self.context.metrics.connected()).await;
+                self.clone().begin(stream, peer, self.admit(peer), self.context.metrics.connected()).await;
             }
         }
         drop(slot);
+    }
+
+    fn admit(&self, peer: SocketAddr) -> Arc<ConnectionPermit> {
+        Arc::new(self.admission.admit(peer.ip(), &self.closing))
     }
 
     async fn decrypted(&self, settings: Arc<HttpSettings>, stream: TcpStream, peer: SocketAddr) -> Option<Begun> {

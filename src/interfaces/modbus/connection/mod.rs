@@ -317,8 +317,10 @@ impl ModbusConnection {
     /// The leases with a supervised heartbeat, and the times at which they are lost.
     fn heartbeats(&self) -> impl Iterator<Item = (&Name, Instant)> {
         let limit = self.settings.now().heartbeat;
-        let alive_at = |gripper: &Name| self.images.get(&Some(gripper.clone()))?.alive_at();
-        self.leases.keys().filter_map(move |gripper| Some((gripper, alive_at(gripper)? + limit)))
+        self.leases.keys().filter_map(move |gripper| {
+            let alive_at = self.images.get(&Some(gripper.clone()))?.alive_at()?;
+            Some((gripper, alive_at + limit))
+        })
     }
 
     /// Loses the leases whose heartbeat has stopped.
