@@ -61,7 +61,6 @@ fn rounded(value: f32) -> f32 {
 }))]
 pub struct Trend {
     /// Name of the gripper.
-    #[schema(value_type = String, max_length = 32)]
     gripper: Name,
     /// Age of each sample in ms: the time since the newest of its frames arrived. Samples within a stretch of equal
     /// values are left out.
@@ -69,7 +68,7 @@ pub struct Trend {
     /// Time at which the frame of the newest sample arrived, in UTC with microseconds. The other samples arrived as much
     /// earlier as their ages are greater. Null before the first connection.
     #[serde(serialize_with = "crate::model::time::microseconds_or_null")]
-    #[schema(value_type = Option<String>, required, format = DateTime)]
+    #[schema(required)]
     measured_at: Option<Timestamp>,
     /// Opening widths in mm; null where unknown.
     width_mm: Vec<Option<f32>>,

@@ -233,8 +233,7 @@ async fn start(
     let access = Arc::new(Access::new(settings::of_access(&config)?));
     settings::log_warnings(&config);
     warn_of_exposure(&access);
-    let (journal, recovered) = open_journal(&config)?;
-    record_start(&config, &journal).await;
+    let (journal, recovered) = open_journal(&config).await?;
     let draining = CancellationToken::new();
     let shutdown = CancellationToken::new();
     let registry = metrics::registry(&config, &journal)?;
@@ -294,9 +293,7 @@ async fn start(
         Some((modbus, runtime)) => modbus.serve(&config, &context, runtime, (draining.clone(), shutdown.clone()))?,
         None => None,
     };
-    // Zenoh has a task of its own, so the rest continues whatever happens to Zenoh.
-    let zenoh =
-        on_zenoh.map(|(settings, context)| tokio::spawn(zenoh::serve(settings, context, announce::announce_zenoh)));
+    let zenoh = on_zenoh.map(|(settings, context)| serve_zenoh(settings, context));
     let port_context = PortContext {
         devices: runtimes.devices.handle().clone(),
         audit: audit.clone(),
@@ -370,10 +367,14 @@ fn watch_trends(grippers: &Grippers, runtime: &Handle, closing: &CancellationTok
     trends
 }
 
-fn open_journal(config: &Config) -> Result<(Journal, Recovered), journal::OpenError> {
+/// Opens the journal, and records the start.
+async fn open_journal(config: &Config) -> Result<(Journal, Recovered), journal::OpenError> {
     let config::JournalConfig { place, max_age, max_bytes } = config.journal.clone();
     let retention = journal::Retention { max_age, max_bytes };
-    Journal::open(place, retention).inspect(|(_, recovered)| log_unclean_end(recovered))
+    let (journal, recovered) = Journal::open(place, retention)?;
+    log_unclean_end(&recovered);
+    record_start(config, &journal).await;
+    Ok((journal, recovered))
 }
 
 /// Logs the commands that a previous run left behind without an orderly shutdown.
@@ -420,6 +421,11 @@ fn stop_signal() -> std::io::Result<impl Future<Output = ()>> {
             _ = interrupt.recv() => {}
         }
     })
+}
+
+/// Serves Zenoh in a task of its own, so that the rest continues whatever happens to Zenoh.
+fn serve_zenoh(settings: zenoh::ZenohSettings, context: interfaces::Context) -> JoinHandle<()> {
+    tokio::spawn(zenoh::serve(settings, context, announce::announce_zenoh))
 }
 
 fn zenoh_settings(

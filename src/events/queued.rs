@@ -21,15 +21,14 @@ pub struct Gap {
     /// Topic with the gap: `events`, `grips` or `frames`.
     topic: Topic,
     /// Gripper of the missing frames. Null for other topics, whose count covers all grippers.
-    #[schema(value_type = Option<String>, required, max_length = 32)]
+    #[schema(required)]
     gripper: Option<Name>,
     /// Sequence number of the last event, grip record or frame before the gap; 0 if this client has received none.
     /// `GET /events?order=oldest&cursor={seq}` returns the missing events, unless the journal has removed them, and
     /// `GET /grips` the missing grip records.
-    #[schema(minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     seq: u64,
     /// Number of missing events, grip records or frames.
-    #[schema(minimum = 1, maximum = 9_007_199_254_740_991_i64)]
+    #[schema(minimum = 1)]
     missed: u64,
 }
 

@@ -81,7 +81,7 @@ pub struct FleetGripper {
     #[schema(max_length = 32)]
     link: String,
     /// Age of the newest update from the device, in ms; null before the first.
-    #[schema(required, minimum = 0, maximum = 9_007_199_254_740_991_i64)]
+    #[schema(required, minimum = 0)]
     age_ms: Option<u64>,
     /// Gripper state, as the manual names it; null before the first update.
     #[schema(required, max_length = 32)]
@@ -100,7 +100,7 @@ pub struct FleetGripper {
     fast_stop: Option<bool>,
     /// Id to name in the acknowledgement; only while a FAST STOP is latched.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<uuid::Uuid>, nullable = false)]
+    #[schema(nullable = false)]
     fast_stop_id: Option<FastStopId>,
     /// Whether the device's flags showed the FAST STOP; only while one is latched.
     #[serde(skip_serializing_if = "Option::is_none")]

@@ -20,7 +20,6 @@ use wsg::{DeviceTag, Force, SystemInfo, SystemLimits};
 }))]
 pub struct Info {
     /// Name of the gripper.
-    #[schema(value_type = String, max_length = 32)]
     pub gripper: Name,
     /// Connection state of the device link.
     pub link: Link,

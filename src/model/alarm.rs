@@ -128,24 +128,24 @@ pub struct AlarmCause {
     /// Cause as text: the cause of a FAST STOP or of a lost link, the unknown values, the name of a lost lease holder, the
     /// figures of a drift, or the use of a finger set. Also the end of a credential, or the failure of a webhook. Null if
     /// the kind of the alarm says everything.
-    #[schema(value_type = Option<String>, required)]
+    #[schema(required)]
     pub cause: Option<Arc<str>>,
     /// Id of the FAST STOP; null for other alarms.
-    #[schema(value_type = Option<uuid::Uuid>, required)]
+    #[schema(required)]
     pub fast_stop_id: Option<FastStopId>,
     /// Subject of the client that requested the FAST STOP, or `device`; null for other alarms.
-    #[schema(value_type = Option<String>, required)]
+    #[schema(required)]
     pub fast_stop_by: Option<Arc<str>>,
     /// Reason given for the FAST STOP, may be empty; null for other alarms.
-    #[schema(value_type = Option<String>, required)]
+    #[schema(required)]
     pub fast_stop_reason: Option<Arc<str>>,
     /// Id of the part or gauge whose contact widths drift; null for other alarms.
     #[serde(default)]
-    #[schema(value_type = Option<String>, required, max_length = 48)]
+    #[schema(required)]
     pub part_id: Option<PartId>,
     /// Name of the token or webhook, or file of the certificate; null for other alarms.
     #[serde(default)]
-    #[schema(value_type = Option<String>, required)]
+    #[schema(required)]
     pub name: Option<Arc<str>>,
 }
 
@@ -160,41 +160,39 @@ pub struct AlarmCause {
 }))]
 pub struct Alarm {
     /// Id to name in the acknowledgement. Each occurrence has an id of its own.
-    #[schema(value_type = uuid::Uuid)]
     pub id: AlarmId,
     /// Kind of the alarm.
     pub alarm: AlarmKind,
     /// Priority of this kind.
     pub priority: AlarmPriority,
     /// Name of the gripper; null if the alarm concerns the gateway.
-    #[schema(value_type = Option<String>, required, max_length = 32)]
+    #[schema(required)]
     pub gripper: Option<Name>,
     /// Name of the gateway that is gone; null for other alarms.
-    #[schema(value_type = Option<String>, required, max_length = 32)]
+    #[schema(required)]
     pub gateway: Option<Name>,
     #[serde(flatten)]
     pub cause: AlarmCause,
     /// Time at which the newest occurrence began.
     #[serde(serialize_with = "super::time::milliseconds")]
-    #[schema(value_type = String, format = DateTime)]
     pub began_at: Timestamp,
     /// Time at which it ended; null while the alarm is active.
     #[serde(serialize_with = "super::time::milliseconds_or_null")]
-    #[schema(value_type = Option<String>, format = DateTime, required)]
+    #[schema(required)]
     pub ended_at: Option<Timestamp>,
     /// Number of occurrences since the last acknowledgement.
-    #[schema(minimum = 1, maximum = 9_007_199_254_740_991_i64)]
+    #[schema(minimum = 1)]
     pub count: u64,
     /// Time of the acknowledgement; null if nobody has acknowledged the alarm yet.
     #[serde(serialize_with = "super::time::milliseconds_or_null")]
-    #[schema(value_type = Option<String>, format = DateTime, required)]
+    #[schema(required)]
     pub acknowledged_at: Option<Timestamp>,
     /// Subject of the client that acknowledged the alarm; null if nobody has, or if it is unknown who did.
-    #[schema(value_type = Option<String>, required)]
+    #[schema(required)]
     pub acknowledged_by: Option<Arc<str>>,
     /// Name that this client gave, if it has no credential.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<String>, nullable = false, max_length = 32)]
+    #[schema(nullable = false)]
     pub acknowledged_label: Option<ClientLabel>,
 }
 
@@ -204,7 +202,6 @@ pub struct AlarmEvent {
     /// Step that was reached.
     pub event: AlarmStep,
     /// Id of the occurrence.
-    #[schema(value_type = uuid::Uuid)]
     pub alarm_id: AlarmId,
     /// Kind of the alarm.
     pub alarm: AlarmKind,
@@ -212,10 +209,10 @@ pub struct AlarmEvent {
     pub priority: AlarmPriority,
     /// Name of the gateway that is gone; absent for other alarms.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<String>, nullable = false, max_length = 32)]
+    #[schema(nullable = false)]
     pub gateway: Option<Name>,
     /// Number of occurrences since the last acknowledgement.
-    #[schema(minimum = 1, maximum = 9_007_199_254_740_991_i64)]
+    #[schema(minimum = 1)]
     pub count: u64,
     #[serde(flatten)]
     pub cause: AlarmCause,

@@ -52,7 +52,8 @@ pub struct Client {
 }
 
 /// Name by which a client without a credential calls its user. It helps people, proves nothing and gives no rights.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[schema(as = ClientLabelField, value_type = String, max_length = 32)]
 pub struct ClientLabel(Arc<str>);
 
 impl Client {

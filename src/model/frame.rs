@@ -26,14 +26,12 @@ pub enum FrameDirection {
 }))]
 pub struct FrameRecord {
     /// Name of the gripper.
-    #[schema(value_type = String, max_length = 32)]
     pub gripper: Name,
     /// Sequence number of the frame among the frames and damages reported for this gripper, from 1.
-    #[schema(minimum = 1, maximum = 9_007_199_254_740_991_i64)]
+    #[schema(minimum = 1)]
     pub seq: u64,
     /// Time at which the frame was sent or received.
     #[serde(serialize_with = "super::time::milliseconds")]
-    #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
     /// Direction of the frame.
     pub direction: FrameDirection,
@@ -67,14 +65,12 @@ pub enum WireDamage {
 }))]
 pub struct DamageRecord {
     /// Name of the gripper.
-    #[schema(value_type = String, max_length = 32)]
     pub gripper: Name,
     /// Sequence number of the damage among the frames and damages reported for this gripper, from 1.
-    #[schema(minimum = 1, maximum = 9_007_199_254_740_991_i64)]
+    #[schema(minimum = 1)]
     pub seq: u64,
     /// Time at which the bytes were received.
     #[serde(serialize_with = "super::time::milliseconds")]
-    #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
     /// Always `received`.
     pub direction: FrameDirection,
@@ -87,7 +83,7 @@ pub struct DamageRecord {
     #[schema(required)]
     pub name: Option<String>,
     /// Number of bytes.
-    #[schema(minimum = 1, maximum = 9_007_199_254_740_991_i64)]
+    #[schema(minimum = 1)]
     pub bytes: usize,
     /// The bytes as hex: at most the first 256.
     #[schema(max_length = 512)]

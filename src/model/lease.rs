@@ -24,7 +24,8 @@ pub const MAX_TTL: Duration = Duration::from_mins(1);
 pub type HolderName = ShownName<32>;
 
 /// Proof that a request comes from the lease holder: 128 random bits as hex, or any text that a client sends instead.
-#[derive(Clone, PartialEq, Eq, Serialize)]
+#[derive(Clone, PartialEq, Eq, Serialize, ToSchema)]
+#[schema(as = LeaseTokenField, value_type = String)]
 pub struct LeaseToken(Arc<str>);
 
 impl LeaseToken {
@@ -147,21 +148,20 @@ pub struct Lease {
     /// Whether a client holds the lease.
     pub held: bool,
     /// Name of the lease holder; null if the lease is free.
-    #[schema(value_type = Option<String>, required)]
+    #[schema(required)]
     pub holder: Option<Arc<str>>,
     /// Number of the newest lease of this gripper. It grows with each lease, also across restarts of the gateway.
-    #[schema(minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     pub epoch: u64,
     /// Token that requests under this lease must carry. Only the client that took the lease receives it.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<String>, nullable = false)]
+    #[schema(nullable = false)]
     pub token: Option<LeaseToken>,
     /// Time to live without use, in ms; null if the lease is free.
-    #[schema(required, minimum = 0, maximum = 9_007_199_254_740_991_i64)]
+    #[schema(required, minimum = 0)]
     pub ttl_ms: Option<u64>,
     /// Remaining time to live, in ms. It does not run down while a request of the holder is open. Null if the lease is
     /// free.
-    #[schema(required, minimum = 0, maximum = 9_007_199_254_740_991_i64)]
+    #[schema(required, minimum = 0)]
     pub expires_in_ms: Option<u64>,
     /// Action if the holder is lost while the fingers move; null if the lease is free.
     #[schema(required)]
@@ -170,7 +170,7 @@ pub struct Lease {
     #[schema(required)]
     pub on_loss_holding: Option<OnLossHolding>,
     /// Name of the client that has requested a hand-over; null if no client has.
-    #[schema(value_type = Option<String>, required)]
+    #[schema(required)]
     pub requested_by: Option<Arc<str>>,
     /// Place of this client among those that have requested a hand-over, from 1; only in the reply to such a request.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -178,7 +178,7 @@ pub struct Lease {
     pub place: Option<usize>,
     /// Name of a holder that was lost while a part was held or a motion continued. Only this client or a supervisor can
     /// take the lease. Null if the gripper is not reserved.
-    #[schema(value_type = Option<String>, required)]
+    #[schema(required)]
     pub reserved_for: Option<Arc<str>>,
 }
 
@@ -188,7 +188,6 @@ pub struct LeaseEvent {
     /// Kind of change.
     pub event: LeaseStep,
     /// Name of the client concerned: the new holder, the requesting client, or the former holder.
-    #[schema(value_type = String)]
     pub holder: Arc<str>,
     /// Number of the newest lease at that time.
     pub epoch: u64,

@@ -64,14 +64,15 @@ pub use report::CommandReport;
 pub use rules::{GripperRules, SharedRules};
 pub use state::{FastStopCause, Latch, LatchFields, Link, State, Telemetry};
 pub use status::GripperStatus;
-pub use text::{InvalidShownName, PartId, Reason, RequestId, ShownName, Text, without_byte_order_mark};
+pub use text::{FingerSetId, InvalidShownName, PartId, Reason, RequestId, ShownName, Text, without_byte_order_mark};
 pub use updates::{UpdateMode, UpdateRules};
 pub use urgency::Urgency;
 pub use values::{LinkClock, MeasuredFields, Values};
 
 /// A gripper's or a gateway's name: `[a-z0-9][a-z0-9_-]{0,31}`.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, ToSchema)]
 #[serde(try_from = "String")]
+#[schema(as = NameField, value_type = String, max_length = 32)]
 pub struct Name(Arc<str>);
 
 impl TryFrom<String> for Name {

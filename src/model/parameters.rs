@@ -36,7 +36,7 @@ pub struct Parameters {
     pub force_n: Option<f32>,
     /// Name of the part.
     #[serde(skip_serializing_if = "Option::is_none", default)]
-    #[schema(value_type = Option<String>, nullable = false, max_length = 48)]
+    #[schema(nullable = false)]
     pub part_id: Option<PartId>,
     #[serde(flatten)]
     pub recipe: RecipeFields,

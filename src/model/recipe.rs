@@ -86,7 +86,6 @@ pub struct Recipe {
     #[serde(flatten)]
     pub values: RecipeValues,
     /// Text for people.
-    #[schema(value_type = String, max_length = 200)]
     pub description: RecipeDescription,
     /// Values that differ for some grippers, by the gripper's name.
     #[schema(value_type = BTreeMap<String, RecipeValues>)]
@@ -132,7 +131,7 @@ pub struct RecipeFields {
     pub recipe: Option<RecipeNumber>,
     /// Version of the recipe.
     #[serde(skip_serializing_if = "Option::is_none", default)]
-    #[schema(nullable = false, minimum = 1, maximum = 9_007_199_254_740_991_i64)]
+    #[schema(nullable = false, minimum = 1)]
     pub recipe_version: Option<u64>,
     /// Smallest accepted contact width, in mm.
     #[serde(skip_serializing_if = "Option::is_none", default)]
@@ -165,7 +164,7 @@ pub struct RecipeEvent {
     #[schema(value_type = u8, minimum = 1, maximum = 255)]
     pub recipe: RecipeNumber,
     /// Version that the change created.
-    #[schema(minimum = 1, maximum = 9_007_199_254_740_991_i64)]
+    #[schema(minimum = 1)]
     pub recipe_version: u64,
     /// The recipe after the change, or before its removal.
     pub definition: Recipe,

@@ -12,13 +12,11 @@ use super::{Action, Code, CommandId, Kind, Name, Outcome, Parameters, PartId, Re
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct GripRecord {
     /// Id of the command.
-    #[schema(value_type = uuid::Uuid)]
     pub id: CommandId,
     /// Name of the gateway. Absent from records of version 0.1.0.
-    #[schema(value_type = Option<String>, nullable = false, max_length = 32)]
+    #[schema(nullable = false)]
     pub gateway: Name,
     /// Name of the gripper.
-    #[schema(value_type = String, max_length = 32)]
     pub gripper: Name,
     /// Serial number of the device; absent if it is unknown.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -27,7 +25,7 @@ pub struct GripRecord {
     /// Kind of the command: `home`, `move`, `grip`, `reference` or `release`.
     pub kind: Kind,
     /// Name of the part; null if none was given.
-    #[schema(value_type = Option<String>, required, max_length = 48)]
+    #[schema(required)]
     pub part_id: Option<PartId>,
     /// Result of the command.
     pub outcome: Outcome,
@@ -41,13 +39,11 @@ pub struct GripRecord {
     #[schema(nullable = false)]
     pub detail: Option<String>,
     /// Subject of the client that requested the command.
-    #[schema(value_type = String)]
     pub subject: Arc<str>,
     #[serde(flatten)]
     pub requested: RequestedValues,
     /// Time of admission.
     #[serde(serialize_with = "super::time::milliseconds")]
-    #[schema(value_type = String, format = DateTime)]
     pub started_at: Timestamp,
     /// Time from admission to end, in ms.
     #[schema(required)]
@@ -73,7 +69,7 @@ pub struct GripRecord {
     /// Time at which the frame of the first sample arrived, in UTC with microseconds. Absent without samples, and from
     /// older records.
     #[serde(skip_serializing_if = "Option::is_none", serialize_with = "super::time::microseconds_or_null")]
-    #[schema(value_type = Option<String>, nullable = false, format = DateTime)]
+    #[schema(nullable = false)]
     pub measured_at: Option<Timestamp>,
     /// Number of samples in the curve.
     pub samples: usize,
@@ -89,11 +85,11 @@ pub struct GripRecord {
 pub struct RequestedValues {
     /// Name of the lease holder, if the command was requested with the lease.
     #[serde(skip_serializing_if = "Option::is_none", default)]
-    #[schema(value_type = Option<String>, nullable = false)]
+    #[schema(nullable = false)]
     pub holder: Option<Arc<str>>,
     /// Id that the client sent with the request, to repeat it safely.
     #[serde(skip_serializing_if = "Option::is_none", default)]
-    #[schema(value_type = Option<String>, nullable = false, max_length = 64)]
+    #[schema(nullable = false)]
     pub request_id: Option<RequestId>,
     /// Requested width in mm, or the requested offset of a relative move.
     #[serde(skip_serializing_if = "Option::is_none", default)]

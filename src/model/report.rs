@@ -20,10 +20,8 @@ use wsg::Status;
 }))]
 pub struct CommandReport {
     /// Id of the command, a version 7 UUID.
-    #[schema(value_type = Uuid)]
     pub id: CommandId,
     /// Name of the gripper.
-    #[schema(value_type = String, max_length = 32)]
     pub gripper: Name,
     /// Number of the motion, which `last_command` in the gripper's status repeats. Null for a Stop, for a streamed
     /// command, and for an older command after a restart of the gateway.
@@ -71,26 +69,24 @@ pub struct CommandReport {
     pub peak_force_n: Option<f32>,
     /// Time of admission.
     #[serde(serialize_with = "super::time::milliseconds")]
-    #[schema(value_type = String, format = DateTime)]
     pub started_at: Timestamp,
     /// Time from admission to end, in ms; null while running.
-    #[schema(required, minimum = 0, maximum = 9_007_199_254_740_991_i64)]
+    #[schema(required, minimum = 0)]
     pub duration_ms: Option<u64>,
     /// Subject of the client that requested the command.
-    #[schema(value_type = String)]
     pub subject: Arc<str>,
     /// Same as `subject`.
-    #[schema(value_type = String, deprecated)]
+    #[schema(deprecated)]
     pub client: Arc<str>,
     /// Whether this is the reply to a repeated request, whose command was admitted earlier.
     pub replayed: bool,
     /// Id of the FAST STOP that came while the command ran; otherwise absent.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<Uuid>, nullable = false)]
+    #[schema(nullable = false)]
     pub fast_stop_id: Option<FastStopId>,
     /// Reply of a custom command's script, as hex; absent for other commands and after a restart of the gateway.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<String>, nullable = false, max_length = 8192)]
+    #[schema(nullable = false, max_length = 8192)]
     pub payload: Option<Arc<str>>,
     /// Code of the problem that ended the command as `BLOCKED`, `RANGE`, `TIMEOUT`, `FAILED`, `REFUSED` or `UNKNOWN`;
     /// otherwise absent.

@@ -93,7 +93,6 @@ pub struct Latch {
 }))]
 pub struct State {
     /// Name of the gripper.
-    #[schema(value_type = String, max_length = 32)]
     pub gripper: Name,
     /// Connection state of the device link.
     pub link: Link,
@@ -105,7 +104,6 @@ pub struct State {
     #[schema(value_type = MeasuredFields)]
     pub values: Values,
     /// Number of changes to this state so far. A newer update with the same values does not count.
-    #[schema(minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     pub seq: u64,
     /// Number of updates to this state so far, including those that changed only the age.
     #[serde(skip)]
@@ -133,23 +131,22 @@ pub struct State {
     #[schema(value_type = LatchFields)]
     pub latch: Option<LatchFields>,
     /// Name of the lease holder; null while the lease is free.
-    #[schema(value_type = Option<String>, required)]
+    #[schema(required)]
     pub lease_holder: Option<Arc<str>>,
     /// Name of a lease holder that was lost while a part was held or a motion continued. Only this client or a
     /// supervisor can take the lease. Null if the gripper is not reserved.
-    #[schema(value_type = Option<String>, required)]
+    #[schema(required)]
     pub reserved_for: Option<Arc<str>>,
     /// Number of the newest lease.
-    #[schema(minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     pub lease_epoch: u64,
     /// Reason that the journal is unavailable; null while it works.
     #[schema(required)]
     pub journal_cause: Option<String>,
     /// Id of the running command; null while none runs.
-    #[schema(value_type = Option<Uuid>, required)]
+    #[schema(required)]
     pub command_id: Option<CommandId>,
     /// Same as `command_id`.
-    #[schema(value_type = Option<Uuid>, required, deprecated)]
+    #[schema(required, deprecated)]
     pub command: Option<CommandId>,
     /// Number of the newest motion, as in `number` of the command; 0 before the first. It survives restarts of the
     /// gateway, and 1 follows 4294967295.
@@ -207,18 +204,16 @@ impl State {
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct Telemetry {
     /// Name of the gripper.
-    #[schema(value_type = String, max_length = 32)]
     pub gripper: Name,
     /// Sequence number of the state.
     pub seq: u64,
     /// Time at which the gateway published the values.
     #[serde(serialize_with = "super::time::milliseconds")]
-    #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
     /// Time at which the newest frame arrived whose value is known, in UTC with microseconds; null while no value is
     /// known.
     #[serde(serialize_with = "super::time::microseconds_or_null")]
-    #[schema(value_type = Option<String>, required, format = DateTime)]
+    #[schema(required)]
     pub measured_at: Option<Timestamp>,
     /// Opening width in mm; null while unknown, and until the fingers are referenced.
     pub width_mm: Option<f32>,
@@ -255,20 +250,20 @@ impl State {
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct LatchFields {
     /// Id that an acknowledgement has to name.
-    #[schema(value_type = Uuid, required = false)]
+    #[schema(required = false)]
     pub fast_stop_id: FastStopId,
     /// Subject of the client that requested the FAST STOP, or `device` if no client did.
-    #[schema(value_type = String, required = false)]
+    #[schema(required = false)]
     pub fast_stop_by: Arc<str>,
     /// Cause of the FAST STOP.
     #[schema(required = false)]
     pub fast_stop_cause: FastStopCause,
     /// Reason given by the client; may be empty.
-    #[schema(value_type = String, required = false, max_length = 64)]
+    #[schema(required = false)]
     pub fast_stop_reason: Reason,
     /// Time at which the FAST STOP was requested or first seen.
     #[serde(serialize_with = "super::time::milliseconds")]
-    #[schema(value_type = String, required = false, format = DateTime)]
+    #[schema(required = false)]
     pub fast_stop_at: Timestamp,
     /// Whether the device's flags have shown the FAST STOP since.
     #[schema(required = false)]

@@ -37,7 +37,6 @@ pub struct GripperStatus {
     #[schema(minimum = 0, maximum = 255)]
     pub last_outcome_code: u8,
     /// Number of the newest lease.
-    #[schema(minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     pub lease_epoch: u64,
 }
 

@@ -1,9 +1,14 @@
 //! Texts from clients: names that distinguish clients for people, and free texts.
 
+use std::borrow::Cow;
+
 use serde::{Deserialize, Serialize};
 use unicode_general_category::{GeneralCategory, get_general_category};
 use unicode_normalization::is_nfc;
 use unicode_security::{GeneralSecurityProfile as _, RestrictionLevel, RestrictionLevelDetection as _};
+use utoipa::openapi::RefOr;
+use utoipa::openapi::schema::{ObjectBuilder, Schema, Type};
+use utoipa::{PartialSchema, ToSchema};
 
 /// Returns a text without the byte order mark with which some editors and spreadsheets begin a file.
 #[must_use]
@@ -15,6 +20,18 @@ pub fn without_byte_order_mark(text: &[u8]) -> &[u8] {
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String")]
 pub struct Text<const MAX: usize>(String);
+
+impl<const MAX: usize> PartialSchema for Text<MAX> {
+    fn schema() -> RefOr<Schema> {
+        ObjectBuilder::new().schema_type(Type::String).max_length(Some(MAX)).build().into()
+    }
+}
+
+impl<const MAX: usize> ToSchema for Text<MAX> {
+    fn name() -> Cow<'static, str> {
+        format!("Text{MAX}Field").into()
+    }
+}
 
 impl<const MAX: usize> TryFrom<String> for Text<MAX> {
     type Error = String;
@@ -65,6 +82,8 @@ fn is_seen(character: char) -> bool {
 pub type Reason = Text<64>;
 /// Name of a part, as the MES knows it.
 pub type PartId = Text<48>;
+/// Id of a finger set, e.g. the number that is engraved on it.
+pub type FingerSetId = Text<48>;
 /// Id by which a repeated request is recognised (`Idempotency-Key`).
 pub type RequestId = Text<64>;
 

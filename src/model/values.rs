@@ -239,12 +239,12 @@ impl Values {
 pub struct MeasuredFields {
     /// Age of the oldest known value among state, flags, width, speed and force, in ms; null while none of them is
     /// known.
-    #[schema(required, minimum = 0, maximum = 9_007_199_254_740_991_i64)]
+    #[schema(required, minimum = 0)]
     pub age_ms: Option<u64>,
     /// Time at which the newest frame arrived whose value is known, in UTC with microseconds; null while no value is
     /// known.
     #[serde(serialize_with = "super::time::microseconds_or_null")]
-    #[schema(value_type = Option<String>, required, format = DateTime)]
+    #[schema(required)]
     pub measured_at: Option<Timestamp>,
     /// Name of the gripper state, as in the manual; null while unknown. `state_code` lists all names.
     #[schema(required)]

@@ -61,7 +61,6 @@ pub struct AlarmsAcknowledged {
     /// The alarms after their acknowledgement. Those that have ended are not listed any more.
     acknowledged: Vec<Alarm>,
     /// Ids of no listed alarm: it was acknowledged before, or has occurred again with another id.
-    #[schema(value_type = Vec<uuid::Uuid>)]
     unknown: Vec<AlarmId>,
 }
 

@@ -11,7 +11,7 @@ use super::gateway::Gateway;
 use super::operation::operations;
 use super::problem::Problem;
 use super::reply::{Json, OrRunning};
-use super::values::TextOrNumber;
+use super::values::RequestIdText;
 use crate::gripper::Ticket;
 use crate::model::{Action, CommandId, CommandReport, LeaseToken, Phase, Submission, Urgency};
 
@@ -98,8 +98,8 @@ async fn find(
 #[serde(deny_unknown_fields)]
 pub struct LatestFields {
     /// Request id that this client sent with the command within the last 10 minutes.
-    #[schema(value_type = Option<String>, max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$", example = "k3-17")]
-    request_id: Option<TextOrNumber>,
+    #[schema(example = "k3-17")]
+    request_id: Option<RequestIdText>,
 }
 
 async fn latest(call: Call<LatestFields>) -> Result<Json<CommandReport>, Problem> {

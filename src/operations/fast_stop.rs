@@ -83,7 +83,6 @@ pub struct FastStopAnswer {
     #[schema(max_length = 32)]
     gripper: String,
     /// Id to name in the acknowledgement.
-    #[schema(value_type = uuid::Uuid)]
     fast_stop_id: FastStopId,
     /// Whether the device's flags showed the FAST STOP within 250 ms. If not, the gateway keeps repeating it.
     fast_stop_confirmed: bool,
@@ -97,7 +96,6 @@ pub struct FastStopAnswer {
 }))]
 pub struct AllFastStopAnswer {
     /// Id to name in the acknowledgements: one for all grippers.
-    #[schema(value_type = uuid::Uuid)]
     fast_stop_id: FastStopId,
     /// Whether the flags of all grippers have shown the FAST STOP.
     fast_stop_confirmed: bool,
@@ -172,7 +170,7 @@ pub struct Acknowledged {
     #[schema(max_length = 32)]
     gripper: String,
     /// Id of the acknowledged FAST STOP; null if the request named none.
-    #[schema(value_type = Option<uuid::Uuid>, required)]
+    #[schema(required)]
     fast_stop_id: Option<FastStopId>,
     /// Whether a FAST STOP is latched: always false after an acknowledgement.
     fast_stop: bool,

@@ -3,14 +3,13 @@
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
-use utoipa::openapi::schema::OneOfBuilder;
 
 use super::call::{Call, NoFields};
 use super::durable::{check_journal, durable};
 use super::operation::operations;
 use super::problem::Problem;
 use super::reply::Json;
-use super::values::{TextOrNumber, integer, part_id, required_text_or_number};
+use super::values::{PartIdText, Whole, part_id};
 use crate::model::Name;
 use crate::wear::{FingerSet, MountRequest};
 
@@ -33,8 +32,8 @@ operations! {
     };
 }
 
-/// Greatest number of grips before a maintenance.
-const MAX_CYCLES: u64 = 1_000_000_000;
+/// Number of grips before a maintenance.
+type Cycles = Whole<1, 1_000_000_000>;
 /// Smallest and greatest distance before a maintenance, in m.
 const MIN_TRAVEL_M: f64 = 0.001;
 const MAX_TRAVEL_M: f64 = 1e9;
@@ -48,20 +47,19 @@ const MAX_TRAVEL_M: f64 = 1e9;
 }))]
 pub struct FingerSetAnswer {
     /// The gripper's name.
-    #[schema(value_type = String, max_length = 32)]
     gripper: Name,
     /// Id of the finger set.
     #[schema(required, max_length = 48)]
     id: Option<String>,
     /// Time from which the use of the set is counted.
     #[serde(serialize_with = "crate::model::time::milliseconds_or_null")]
-    #[schema(value_type = Option<String>, required, format = DateTime)]
+    #[schema(required)]
     mounted_at: Option<Timestamp>,
     /// Subject of the client that mounted the set or reset its counts.
     #[schema(required)]
     mounted_by: Option<String>,
     /// Number of grips since `mounted_at`, reference grips included, whatever their outcome.
-    #[schema(required, minimum = 0, maximum = 9_007_199_254_740_991_i64)]
+    #[schema(required, minimum = 0)]
     cycles: Option<u64>,
     /// Distance that the fingers moved relative to each other since `mounted_at`, in m.
     #[schema(required, minimum = 0)]
@@ -93,20 +91,15 @@ impl FingerSetAnswer {
     }
 }
 
-fn id_schema() -> OneOfBuilder {
-    required_text_or_number(48, "Id of the finger set: 1 to 48 bytes, or a whole number, which is stored as text.")
-}
-
 /// The finger set that is mounted, with its maintenance limits.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 #[schema(example = json!({"id": "F-12", "maintenance_cycles": 100_000}))]
 pub struct SetFingerSet {
-    #[schema(schema_with = id_schema, required)]
-    id: TextOrNumber,
+    /// Id of the finger set: 1 to 48 bytes, or a whole number, which is stored as text.
+    id: PartIdText,
     /// Number of grips after which the set needs maintenance; unlimited if absent.
-    #[schema(value_type = Option<u64>, minimum = 1, maximum = 1_000_000_000)]
-    maintenance_cycles: Option<f64>,
+    maintenance_cycles: Option<Cycles>,
     /// Distance after which the set needs maintenance, in m; unlimited if absent.
     #[schema(minimum = 0.001, maximum = 1_000_000_000)]
     maintenance_travel_m: Option<f64>,
@@ -131,9 +124,7 @@ async fn set(call: Call<SetFingerSet>) -> Result<Json<FingerSetAnswer>, Problem>
     }
     let mounted = MountRequest {
         id: part_id("id", &id.to_string())?,
-        maintenance_cycles: maintenance_cycles
-            .map(|cycles| integer("maintenance_cycles", cycles, 1..=MAX_CYCLES))
-            .transpose()?,
+        maintenance_cycles: maintenance_cycles.map(|cycles| cycles.checked("maintenance_cycles")).transpose()?,
         maintenance_travel_m,
         reset,
     };

@@ -73,7 +73,6 @@ pub struct FleetList {
 }))]
 pub struct FleetFastStopAnswer {
     /// Id to name in the acknowledgements of this gateway's own grippers. The fleet's list has the ids of the others.
-    #[schema(value_type = uuid::Uuid)]
     fast_stop_id: FastStopId,
     /// Whether all grippers have confirmed. `false` as well while this gateway is not connected to the Zenoh network as
     /// configured, or another gateway has not reported its grippers yet.

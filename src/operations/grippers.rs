@@ -58,7 +58,6 @@ operations! {
 #[derive(Debug, Serialize, ToSchema)]
 pub struct GripperList {
     /// The grippers, sorted by name.
-    #[schema(value_type = Vec<Info>)]
     grippers: Vec<Arc<Info>>,
 }
 

@@ -11,7 +11,7 @@ use super::connection_lease::ConnectionLease;
 use super::operation::operations;
 use super::problem::Problem;
 use super::reply::{Effect, Json, OrWaiting};
-use super::values::{LeaseField, integer, name, text};
+use super::values::{LeaseField, Whole, name, text};
 use crate::access::Right;
 use crate::fleet::keys::MAX_SUBJECT_BYTES;
 use crate::gripper::{AcquiredLease, Conflict, Rejection};
@@ -73,6 +73,9 @@ async fn get(call: Call<NoFields>) -> LeaseResult {
     Ok(Json(gripper.handle.lease().await?))
 }
 
+/// Time to live of a lease, in ms.
+type TimeToLive = Whole<{ MIN_TTL.as_millis() as u64 }, { MAX_TTL.as_millis() as u64 }>;
+
 /// A request for the lease.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
@@ -84,8 +87,7 @@ pub struct Take {
     #[schema(max_length = 32, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     holder: Option<String>,
     /// Time until the lease expires without use, in ms; 3000 by default.
-    #[schema(value_type = Option<u64>, minimum = 100, maximum = 60000)]
-    ttl_ms: Option<f64>,
+    ttl_ms: Option<TimeToLive>,
     /// Reaction if the holder is lost while the fingers move. The default is `fast_stop`, unless the configuration has
     /// another.
     on_loss_moving: Option<OnLossMoving>,
@@ -115,7 +117,7 @@ async fn take(call: Call<Take>) -> Result<OrWaiting<Lease>, Problem> {
     let holder = body.holder.as_deref().filter(|holder| !holder.is_empty());
     let take = TakeLease {
         holder: holder.map(|given| name("holder", given)).transpose()?,
-        ttl: body.ttl_ms.map(ttl).transpose()?,
+        ttl: body.ttl_ms.map(|ttl_ms| ttl_ms.checked("ttl_ms")).transpose()?.map(Duration::from_millis),
         on_loss_moving: body.on_loss_moving,
         on_loss_holding: body.on_loss_holding,
         force: body.force,
@@ -136,12 +138,6 @@ async fn take(call: Call<Take>) -> Result<OrWaiting<Lease>, Problem> {
     let keep = keep.filter(|_| !has_ttl);
     let leased = ConnectionLease::new(handle, &lease, times_taken, keep);
     OrWaiting::new(&lease, leased.map_or(Effect::None, |lease| Effect::Leased(Arc::new(lease))))
-}
-
-/// Checks a lease's time to live.
-fn ttl(ms: f64) -> Result<Duration, Problem> {
-    let ms = integer("ttl_ms", ms, MIN_TTL.as_millis() as u64..=MAX_TTL.as_millis() as u64)?;
-    Ok(Duration::from_millis(ms))
 }
 
 async fn renew(call: Call<Leased>) -> LeaseResult {

@@ -32,10 +32,8 @@ operations! {
 }))]
 pub struct Me {
     /// Name of the credential; null on a gateway that needs no credentials.
-    #[schema(value_type = Option<String>)]
     name: Option<Name>,
     /// The client as events name it.
-    #[schema(value_type = String)]
     subject: Arc<str>,
     role: Role,
     proof: Proof,
@@ -49,7 +47,6 @@ pub struct Me {
 /// The role of a client for a gripper.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct GripperRole {
-    #[schema(value_type = String)]
     gripper: Name,
     /// The client's role for this gripper; null if it may only trigger FAST STOPs.
     #[schema(value_type = Option<Role>)]

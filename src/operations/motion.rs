@@ -3,7 +3,6 @@
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use utoipa::ToSchema;
-use utoipa::openapi::schema::OneOfBuilder;
 
 use super::call::Call;
 use super::caller::{DEFAULT_WAIT_MS, RequestKeys};
@@ -12,7 +11,7 @@ use super::operation::operations;
 use super::problem::Problem;
 use super::reply::OrRunning;
 use super::requested_recipe::RequestedRecipe;
-use super::values::{LeaseField, TextOrNumber, force, request_id_schema, speed, text_or_number, width};
+use super::values::{LeaseField, PartIdText, RecipeOrNone, RequestIdText, Version, force, speed, width};
 use crate::access::Right;
 use crate::model::{Action, CommandReport, Direction, Motion, OnBlock, RecipeValues, Urgency};
 use crate::wsg::MoveFlags;
@@ -86,8 +85,10 @@ macro_rules! command_body {
         $(#[$meta])*
         pub struct $name {
             $($fields)*
-            #[schema(schema_with = request_id_schema)]
-            request_id: Option<TextOrNumber>,
+            /// Id that makes the request safe to repeat: for 10 minutes, the same id returns the same command. Only a Stop
+            /// is sent again while the fingers move. At most 64 bytes, or a whole number, which is treated as text;
+            /// empty means none.
+            request_id: Option<RequestIdText>,
             lease: Option<LeaseField>,
         }
 
@@ -131,21 +132,6 @@ command_body! {
     }
 }
 
-fn part_id_schema() -> OneOfBuilder {
-    text_or_number(
-        48,
-        "Id of the part, for the records and to find its recipe: at most 48 bytes, or a whole number, which is stored \
-         as text. By default that of the recipe.",
-    )
-}
-
-fn released_part_schema() -> OneOfBuilder {
-    text_or_number(
-        48,
-        "Id of the part, to find its recipe: at most 48 bytes, or a whole number, which is treated as text.",
-    )
-}
-
 command_body! {
     /// Parameters of a grip.
     #[schema(example = json!({"width_mm": 20.0, "speed_mm_s": 50.0, "force_n": 40.0, "part_id": "A-1047"}))]
@@ -160,15 +146,14 @@ command_body! {
         /// current limit applies.
         #[schema(minimum = 0, maximum = 10000)]
         force_n: Option<f64>,
-        #[schema(schema_with = part_id_schema)]
-        part_id: Option<TextOrNumber>,
+        /// Id of the part, for the records and to find its recipe: at most 48 bytes, or a whole number, which is stored as
+        /// text. By default that of the recipe.
+        part_id: Option<PartIdText>,
         /// Number of the recipe. Without it, the recipe of the part is used if `width_mm` or `speed_mm_s` is missing. 0: no
         /// recipe.
-        #[schema(value_type = Option<u8>, minimum = 0, maximum = 255)]
-        recipe: Option<f64>,
+        recipe: Option<RecipeOrNone>,
         /// Version that the recipe must have; otherwise the request fails with 412.
-        #[schema(value_type = Option<u64>, minimum = 1, maximum = 9_007_199_254_740_991_i64)]
-        recipe_version: Option<f64>,
+        recipe_version: Option<Version>,
         /// Whether this is a reference grip, that is, a grip on a gauge. Its kind is `reference`, and the request needs a
         /// `part_id` or a `recipe`.
         #[serde(default)]
@@ -187,15 +172,13 @@ command_body! {
         /// Speed of the fingers relative to each other, in mm/s; by default that of the recipe.
         #[schema(minimum = 0, maximum = 10000)]
         speed_mm_s: Option<f64>,
-        #[schema(schema_with = released_part_schema)]
-        part_id: Option<TextOrNumber>,
+        /// Id of the part, to find its recipe: at most 48 bytes, or a whole number, which is treated as text.
+        part_id: Option<PartIdText>,
         /// Number of the recipe. Without it, the recipe of the part is used if `width_mm` or `speed_mm_s` is missing. 0: no
         /// recipe.
-        #[schema(value_type = Option<u8>, minimum = 0, maximum = 255)]
-        recipe: Option<f64>,
+        recipe: Option<RecipeOrNone>,
         /// Version that the recipe must have; otherwise the request fails with 412.
-        #[schema(value_type = Option<u64>, minimum = 1, maximum = 9_007_199_254_740_991_i64)]
-        recipe_version: Option<f64>,
+        recipe_version: Option<Version>,
     }
 }
 

@@ -10,7 +10,7 @@ use super::commands;
 use super::operation::operations;
 use super::problem::Problem;
 use super::reply::OrRunning;
-use super::values::{LeaseField, TextOrNumber, bytes, integer, request_id_schema};
+use super::values::{LeaseField, RequestIdText, Whole, bytes};
 use crate::access::Right;
 use crate::gripper::{FastStop, Handle, Rejection};
 use crate::model::{Action, CommandId, CommandReport, FastStopId, Motion, Outcome, Phase, Reason};
@@ -38,8 +38,7 @@ operations! {
 #[schema(example = json!({"id": 83}))]
 pub struct Raw {
     /// Command id.
-    #[schema(value_type = u8, minimum = 0, maximum = 255)]
-    id: f64,
+    id: Byte,
     /// Parameters as hex: at most 4096 bytes.
     #[serde(default)]
     #[schema(default = "", max_length = 8192, pattern = "^([0-9a-fA-F]{2})*$")]
@@ -49,10 +48,14 @@ pub struct Raw {
     #[serde(default)]
     #[schema(default = false)]
     exact: bool,
-    #[schema(schema_with = request_id_schema)]
-    request_id: Option<TextOrNumber>,
+    /// Id that makes the request safe to repeat: for 10 minutes, the same id returns the same command. Only a Stop
+    /// is sent again while the fingers move. At most 64 bytes, or a whole number, which is treated as text;
+    /// empty means none.
+    request_id: Option<RequestIdText>,
     lease: Option<LeaseField>,
 }
+
+type Byte = Whole<0, 255>;
 
 /// The device's reply to a raw request.
 #[derive(Debug, Serialize, ToSchema)]
@@ -80,14 +83,14 @@ pub struct RawAnswer {
     #[schema(max_length = 8192)]
     payload: String,
     /// Id of the resulting command; null if the request neither stops the fingers nor could move them.
-    #[schema(value_type = Option<uuid::Uuid>, required)]
+    #[schema(required)]
     command_id: Option<CommandId>,
     /// Outcome of that command.
     #[schema(required)]
     outcome: Option<Outcome>,
     /// Id to name in the acknowledgement; only for a FAST STOP.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<uuid::Uuid>, nullable = false)]
+    #[schema(nullable = false)]
     fast_stop_id: Option<FastStopId>,
 }
 
@@ -120,7 +123,7 @@ async fn raw(call: Call<Raw>) -> Result<OrRunning<RawAnswer>, Problem> {
     let keys = call.keys()?;
     let body = call.fields()?;
     // At most 255, so the cast loses nothing.
-    let id = integer("id", body.id, 0..=u64::from(u8::MAX))? as u8;
+    let id = body.id.checked("id")? as u8;
     let request_id = body.request_id.as_ref().map(ToString::to_string);
     let keys = keys.or_fields(request_id.as_deref(), body.lease.as_deref())?;
     let payload = bytes("payload", &body.payload, MAX_OPAQUE_BYTES)?;

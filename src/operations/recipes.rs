@@ -5,14 +5,13 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
-use utoipa::openapi::schema::OneOfBuilder;
 
 use super::call::{Call, NoFields};
 use super::durable::{check_journal, durable};
 use super::operation::operations;
 use super::problem::Problem;
 use super::reply::{Json, Versioned};
-use super::values::{TextOrNumber, integer, part_id, shortened, text, text_or_number};
+use super::values::{GivenNumber, PartIdText, VersionOrNone, part_id, shortened, text};
 use crate::gripper::limits::{FASTEST_MM_S, STRONGEST_N, WIDEST_MM};
 use crate::model::{Code, Name, PartId, Recipe, RecipeDescription, RecipeNumber, RecipeValues};
 use crate::recipes::{ExpectedVersion, RecipeChange, RecipeConflict, RecipeVersion};
@@ -72,9 +71,6 @@ const UNCHANGED: &str = "no recipe was changed";
 /// Maximum number of recipes in a request: one for each number.
 pub const MAX_RECIPES: usize = 255;
 
-/// Greatest version that a client can name: JSON numbers are exact up to it.
-pub const MAX_VERSION: u64 = (1 << 53) - 1;
-
 /// Field that names the version that a change expects.
 const IF_VERSION: &str = "if_version";
 
@@ -85,7 +81,6 @@ const MAX_GRIPPERS: usize = 16;
 #[derive(Debug, Serialize, ToSchema)]
 pub struct RecipeList {
     /// The recipes, by number.
-    #[schema(value_type = Vec<RecipeVersion>)]
     recipes: Vec<Arc<RecipeVersion>>,
 }
 
@@ -93,7 +88,6 @@ pub struct RecipeList {
 #[derive(Debug, Serialize, ToSchema)]
 pub struct RecipeVersions {
     /// The versions, the newest first. A version with `removed` is the removal of the recipe.
-    #[schema(value_type = Vec<RecipeVersion>)]
     versions: Vec<Arc<RecipeVersion>>,
 }
 
@@ -105,12 +99,10 @@ pub struct RecipeVersions {
     "release_width_mm": 30.0, "release_speed_mm_s": 100.0, "description": "bearing ring, left nest"
 }))]
 pub struct SetRecipe {
-    /// Id of the part; required in a list of recipes.
-    #[schema(schema_with = part_id_schema)]
-    part_id: Option<TextOrNumber>,
+    /// Id of the part: at most 48 bytes, or a whole number, which is stored as text. Required in a list of recipes.
+    part_id: Option<PartIdText>,
     /// Recipe number, unique on this gateway.
-    #[schema(value_type = u8, minimum = 1, maximum = 255)]
-    number: f64,
+    number: GivenNumber,
     /// Nominal width of the part, in mm.
     #[schema(minimum = 0, maximum = 1000)]
     width_mm: Option<f64>,
@@ -139,12 +131,7 @@ pub struct SetRecipe {
     #[schema(value_type = Option<BTreeMap<String, RecipeValues>>)]
     grippers: Option<BTreeMap<String, RecipeValues>>,
     /// Version that the recipe must have, like `If-Match` over HTTP; 0 if there must be no recipe yet.
-    #[schema(value_type = Option<u64>, minimum = 0, maximum = 9_007_199_254_740_991_i64)]
-    if_version: Option<f64>,
-}
-
-fn part_id_schema() -> OneOfBuilder {
-    text_or_number(48, "Id of the part: at most 48 bytes, or a whole number, which is stored as text.")
+    if_version: Option<VersionOrNone>,
 }
 
 /// Several recipes to set.
@@ -163,8 +150,7 @@ pub struct SetRecipes {
 #[schema(example = json!({}))]
 pub struct RemoveRecipe {
     /// Version that the recipe must have, like `If-Match` over HTTP.
-    #[schema(value_type = Option<u64>, minimum = 0, maximum = 9_007_199_254_740_991_i64)]
-    if_version: Option<f64>,
+    if_version: Option<VersionOrNone>,
 }
 
 fn list(call: &Call<NoFields>) -> Result<Json<RecipeList>, Problem> {
@@ -269,8 +255,8 @@ fn no_recipe() -> Problem {
 }
 
 /// Parses the version that a change expects.
-fn version_expected(field: &str, if_version: Option<f64>) -> Result<ExpectedVersion, Problem> {
-    let version = if_version.map(|version| integer(field, version, 0..=MAX_VERSION)).transpose()?;
+fn version_expected(field: &str, if_version: Option<VersionOrNone>) -> Result<ExpectedVersion, Problem> {
+    let version = if_version.map(|version| version.checked(field)).transpose()?;
     Ok(match version {
         None => ExpectedVersion::Any,
         Some(0) => ExpectedVersion::Absent,
@@ -279,7 +265,7 @@ fn version_expected(field: &str, if_version: Option<f64>) -> Result<ExpectedVers
 }
 
 /// Returns the version that a change expects, which a client can send in a header or among the parameters.
-fn expected<P>(call: &Call<P>, if_version: Option<f64>) -> Result<ExpectedVersion, Problem> {
+fn expected<P>(call: &Call<P>, if_version: Option<VersionOrNone>) -> Result<ExpectedVersion, Problem> {
     match (call.params.expected, version_expected(IF_VERSION, if_version)?) {
         (ExpectedVersion::Any, among) => Ok(among),
         (alongside, ExpectedVersion::Any) => Ok(alongside),
@@ -301,7 +287,7 @@ impl SetRecipe {
             release_speed_mm_s: self.release_speed_mm_s,
         };
         check(&values, place)?;
-        let number = integer(&format!("{place}number"), self.number, 1..=u64::from(u8::MAX))?;
+        let number = self.number.checked(&format!("{place}number"))?;
         let number = u8::try_from(number).ok().and_then(RecipeNumber::new).ok_or_else(Problem::internal)?;
         let description: RecipeDescription =
             text(&format!("{place}description"), self.description.as_deref().unwrap_or_default())?;

@@ -4,8 +4,7 @@ use std::sync::Arc;
 
 use super::call::Call;
 use super::problem::Problem;
-use super::recipes::MAX_VERSION;
-use super::values::{TextOrNumber, integer, text};
+use super::values::{PartIdText, RecipeOrNone, Version, text};
 use crate::model::{AppliedRecipe, Code, PartId, RecipeNumber, RecipeValues};
 use crate::recipes::RecipeVersion;
 
@@ -27,16 +26,16 @@ impl RequestedRecipe {
     /// A problem if a value is invalid, if the number is unknown, or if the recipe has another version.
     pub fn of<P>(
         call: &Call<P>,
-        number: Option<f64>,
-        version: Option<f64>,
-        part_id: Option<TextOrNumber>,
+        number: Option<RecipeOrNone>,
+        version: Option<Version>,
+        part_id: Option<PartIdText>,
         is_complete: bool,
     ) -> Result<Self, Problem> {
         // Blocks with fixed fields send an empty one.
         let part_id = part_id.map(|given| given.to_string()).filter(|given| !given.is_empty());
         let part_id = part_id.map(|given| text("part_id", &given)).transpose()?;
         let recipes = &call.gateway.recipes;
-        let number = number.map(|number| integer("recipe", number, 0..=u64::from(u8::MAX))).transpose()?;
+        let number = number.map(|number| number.checked("recipe")).transpose()?;
         let recipe = match number {
             Some(0) => None,
             Some(number) => {
@@ -49,7 +48,7 @@ impl RequestedRecipe {
             None if is_complete => None,
             None => part_id.as_ref().and_then(|part_id| recipes.of_part(part_id)),
         };
-        let version = version.map(|version| integer("recipe_version", version, 1..=MAX_VERSION)).transpose()?;
+        let version = version.map(|version| version.checked("recipe_version")).transpose()?;
         let found = recipe.as_ref().map(|one| one.version);
         if version.is_some() && version != found {
             let found = found.map_or_else(|| "no recipe is used".to_owned(), |found| format!("its version is {found}"));

@@ -81,11 +81,11 @@ pub struct StatisticsOfGrips {
     outcomes: Vec<OutcomeShare>,
     /// Time of the oldest grip; null without grips.
     #[serde(serialize_with = "milliseconds_or_null")]
-    #[schema(value_type = Option<String>, required, format = DateTime)]
+    #[schema(required)]
     first_at: Option<Timestamp>,
     /// Time of the newest grip; null without grips.
     #[serde(serialize_with = "milliseconds_or_null")]
-    #[schema(value_type = Option<String>, required, format = DateTime)]
+    #[schema(required)]
     last_at: Option<Timestamp>,
     /// Contact widths of the grips with a part (`PART_HELD` and `WRONG_PART`), in mm.
     contact_width_mm: Spread,

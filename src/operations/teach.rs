@@ -7,7 +7,7 @@ use super::call::Call;
 use super::operation::operations;
 use super::problem::Problem;
 use super::reply::Json;
-use super::values::{gripper_or_gateway, integer};
+use super::values::{Whole, gripper_or_gateway};
 use crate::access::Right;
 use crate::gripper::limits::WIDEST_MM;
 use crate::journal::{Distribution, Filter, GripQuery, Limit};
@@ -25,7 +25,7 @@ operations! {
 }
 
 /// Grips that are read by default.
-const DEFAULT_LAST: f64 = 50.0;
+const DEFAULT_LAST: u64 = 50;
 /// Standard deviations between the mean and a limit by default.
 const DEFAULT_K: f64 = 3.0;
 const MAX_K: f64 = 10.0;
@@ -33,14 +33,16 @@ const MAX_K: f64 = 10.0;
 /// Smallest distance between the mean and a limit. Equal widths have no spread, and no part meets such limits again.
 const RESOLUTION_MM: f64 = 0.01;
 
+/// Number of grips that are read. Two have a spread.
+type Last = Whole<2, 1000>;
+
 /// Request for proposed limits.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 #[schema(example = json!({"last": 50, "k": 3.0}))]
 pub struct Teach {
     /// Number of the part's newest grips with outcome `PART_HELD` to use; 50 by default.
-    #[schema(value_type = Option<u64>, minimum = 2, maximum = 1000)]
-    last: Option<f64>,
+    last: Option<Last>,
     /// Number of standard deviations between the mean and a limit; 3 by default.
     #[schema(minimum = 0, maximum = 10)]
     k: Option<f64>,
@@ -78,7 +80,7 @@ async fn teach(call: Call<Teach>) -> Result<Json<ProposedLimits>, Problem> {
     let part_id = call.part_id()?;
     let Teach { last, k, gripper } = call.fields()?;
     let gripper = gripper.map(|name| gripper_or_gateway("gripper", &name)).transpose()?;
-    let last = integer("last", last.unwrap_or(DEFAULT_LAST), 2..=1000)?;
+    let last = last.map_or(Ok(DEFAULT_LAST), |last| last.checked("last"))?;
     let k = k.unwrap_or(DEFAULT_K);
     if !(0.0..=MAX_K).contains(&k) {
         return Err(Problem::out_of_range("k", k, 0.0, MAX_K));

@@ -5,14 +5,16 @@
 //!
 //! Type names that end in `Field` do not appear in the API's documents: such a type is described where it is used.
 
+use std::borrow::Cow;
 use std::fmt;
 use std::ops::{Deref, RangeInclusive};
 
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer};
 use serde_json::Number;
-use utoipa::ToSchema;
-use utoipa::openapi::schema::{ObjectBuilder, OneOfBuilder, Type};
+use utoipa::openapi::RefOr;
+use utoipa::openapi::schema::{KnownFormat, ObjectBuilder, OneOfBuilder, Schema, SchemaFormat, Type};
+use utoipa::{PartialSchema, ToSchema};
 
 use super::problem::Problem;
 use crate::gripper::limits::{FASTEST_MM_S, HARDEST_MM_S2, STRONGEST_N, WIDEST_MM};
@@ -66,6 +68,47 @@ fn not_finite(field: &str, error: NotFinite) -> Problem {
 pub fn gripper_or_gateway(field: &str, given: &str) -> Result<Name, Problem> {
     given.parse().map_err(|error| Problem::malformed(field, format!("{field}: {error}")))
 }
+
+/// A JSON number that must be whole and from `MIN` to `MAX`; 96.0 counts as whole.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(transparent)]
+pub struct Whole<const MIN: u64, const MAX: u64>(f64);
+
+impl<const MIN: u64, const MAX: u64> Whole<MIN, MAX> {
+    /// Returns the number.
+    ///
+    /// # Errors
+    /// A problem that names the field and the bounds.
+    pub fn checked(self, field: &str) -> Result<u64, Problem> {
+        integer(field, self.0, MIN..=MAX)
+    }
+}
+
+impl<const MIN: u64, const MAX: u64> PartialSchema for Whole<MIN, MAX> {
+    fn schema() -> RefOr<Schema> {
+        let known = if u8::try_from(MAX).is_ok() { KnownFormat::Int32 } else { KnownFormat::Int64 };
+        let number = ObjectBuilder::new().schema_type(Type::Integer).format(Some(SchemaFormat::KnownFormat(known)));
+        number.minimum(Some(MIN)).maximum(Some(MAX)).build().into()
+    }
+}
+
+impl<const MIN: u64, const MAX: u64> ToSchema for Whole<MIN, MAX> {
+    fn name() -> Cow<'static, str> {
+        format!("WholeFrom{MIN}To{MAX}Field").into()
+    }
+}
+
+/// Number of a recipe.
+pub type GivenNumber = Whole<1, 255>;
+/// Number of a recipe, or 0 for none.
+pub type RecipeOrNone = Whole<0, 255>;
+/// Version of a recipe, or 0 for none.
+pub type VersionOrNone = Whole<0, MAX_EXACT>;
+/// Version of a recipe.
+pub type Version = Whole<1, MAX_EXACT>;
+
+/// Greatest whole number that every JSON parser represents exactly (RFC 8259, 6): 2^53 - 1.
+pub const MAX_EXACT: u64 = 9_007_199_254_740_991;
 
 /// A JSON number that must be whole; 96.0 counts as whole.
 pub fn integer(field: &str, number: f64, range: RangeInclusive<u64>) -> Result<u64, Problem> {
@@ -145,31 +188,35 @@ impl fmt::Display for TextOrNumber {
     }
 }
 
-/// Schema of an optional [`TextOrNumber`].
-pub fn text_or_number(max_bytes: usize, description: &str) -> OneOfBuilder {
-    texts_and_numbers(None, max_bytes, description).item(ObjectBuilder::new().schema_type(Type::Null))
+/// A text of at most `MAX` bytes, or a whole number, which is treated as text.
+#[derive(Debug, Deserialize)]
+#[serde(transparent)]
+pub struct ShortText<const MAX: usize>(TextOrNumber);
+
+/// Id of a part, or of a finger set.
+pub type PartIdText = ShortText<48>;
+/// Id of a request.
+pub type RequestIdText = ShortText<64>;
+
+impl<const MAX: usize> fmt::Display for ShortText<MAX> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
 }
 
-/// Schema of a [`TextOrNumber`] that is required and not empty.
-pub fn required_text_or_number(max_bytes: usize, description: &str) -> OneOfBuilder {
-    texts_and_numbers(Some(1), max_bytes, description)
+impl<const MAX: usize> PartialSchema for ShortText<MAX> {
+    fn schema() -> RefOr<Schema> {
+        let text = ObjectBuilder::new().schema_type(Type::String).max_length(Some(MAX));
+        let text = text.pattern(Some(r"^[^\u0000-\u001f\u007f-\u009f]*$"));
+        let number = ObjectBuilder::new().schema_type(Type::Integer).minimum(Some(i64::MIN)).maximum(Some(i64::MAX));
+        Schema::OneOf(OneOfBuilder::new().item(text).item(number).build()).into()
+    }
 }
 
-fn texts_and_numbers(min_bytes: Option<usize>, max_bytes: usize, description: &str) -> OneOfBuilder {
-    let text = ObjectBuilder::new().schema_type(Type::String).min_length(min_bytes).max_length(Some(max_bytes));
-    let text = text.pattern(Some(r"^[^\u0000-\u001f\u007f-\u009f]*$"));
-    let number = ObjectBuilder::new().schema_type(Type::Integer).minimum(Some(i64::MIN)).maximum(Some(i64::MAX));
-    OneOfBuilder::new().item(text).item(number).description(Some(description))
-}
-
-/// Schema of a request id.
-pub fn request_id_schema() -> OneOfBuilder {
-    text_or_number(
-        64,
-        "Id that makes the request safe to repeat: for 10 minutes, the same id returns the same command. Only a Stop \
-         is sent again while the fingers move. At most 64 bytes, or a whole number, which is treated as text; empty \
-         means none.",
-    )
+impl<const MAX: usize> ToSchema for ShortText<MAX> {
+    fn name() -> Cow<'static, str> {
+        format!("ShortText{MAX}Field").into()
+    }
 }
 
 /// Bytes in hexadecimal digits.

@@ -58,10 +58,8 @@ pub struct WebhookReport {
     #[schema(required)]
     kinds: Option<Vec<EventKind>>,
     /// `seq` of the newest event that was delivered, or skipped because of its kind.
-    #[schema(minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     position: i64,
     /// Number of events after the position, of any kind.
-    #[schema(minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     waiting: i64,
     /// Time of the newest delivery since the gateway started; null before the first.
     #[schema(value_type = Option<String>, format = DateTime, required)]
@@ -122,7 +120,6 @@ pub struct WebhookDelivery {
     #[schema(required, minimum = 100, maximum = 999)]
     status: Option<u16>,
     /// Duration of the attempt in ms.
-    #[schema(minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     duration_ms: u64,
     /// Why the delivery failed, with the remedy; null if it was delivered.
     #[schema(required)]

@@ -12,14 +12,12 @@ use crate::model::Recipe;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct RecipeVersion {
     /// Version number, unique among all recipes of this gateway. Later versions are greater.
-    #[schema(minimum = 1, maximum = 9_007_199_254_740_991_i64)]
+    #[schema(minimum = 1)]
     pub version: u64,
     /// Time of the change.
     #[serde(serialize_with = "crate::model::time::milliseconds")]
-    #[schema(value_type = String, format = DateTime)]
     pub changed_at: Timestamp,
     /// Subject of the client that made the change.
-    #[schema(value_type = String)]
     pub changed_by: Arc<str>,
     /// Whether the change removed the recipe.
     #[serde(default)]

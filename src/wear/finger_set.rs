@@ -6,10 +6,8 @@ use std::sync::Arc;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
-use crate::model::{Client, Text};
-
-/// Id of a finger set, e.g. the number that is engraved on it.
-pub type FingerSetId = Text<48>;
+use crate::model::Client;
+pub use crate::model::FingerSetId;
 
 /// The fingers of a gripper, with their use since they were mounted.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

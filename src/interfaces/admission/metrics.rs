@@ -34,12 +34,12 @@ impl Usage {
     /// Registers the metrics of an interface's connections.
     pub fn register(registry: &Registry, interface: &str, admission: &Arc<Admission>) -> Result<()> {
         let used = door_opts(interface, "wsg_connection_slots_used", "Open connections in each class.");
-        let help = "Maximum connections in each class; beyond it, one is evicted or refused.";
-        let limit = door_opts(interface, "wsg_connection_slots", help);
-        let help = "Bytes held for requests in progress and undelivered responses.";
-        let held = door_opts(interface, "wsg_connections_held_bytes", help);
-        let help = "Connections closed to make room for others.";
-        let evicted = door_opts(interface, "wsg_connections_evicted_total", help);
+        let meaning = "Maximum connections in each class; beyond it, one is evicted or refused.";
+        let limit = door_opts(interface, "wsg_connection_slots", meaning);
+        let meaning = "Bytes held for requests in progress and undelivered responses.";
+        let held = door_opts(interface, "wsg_connections_held_bytes", meaning);
+        let meaning = "Connections closed to make room for others.";
+        let evicted = door_opts(interface, "wsg_connections_evicted_total", meaning);
         registry.register(Box::new(Self {
             admission: admission.clone(),
             used: IntGaugeVec::new(used, &["class"])?,

@@ -7,6 +7,7 @@ use serde_json::{Map, Value, json};
 use utoipa::OpenApi as _;
 
 use super::context::API;
+use super::openapi_document::{bound_numbers, describe_in_place};
 use crate::events::Gap;
 use crate::interfaces::websocket::{MAX_ID_BYTES, SUBPROTOCOL, Subscribe, Subscribed};
 use crate::model::{CommandReport, DamageRecord, FrameRecord, State, Telemetry};
@@ -66,7 +67,9 @@ struct Contents {
 
 #[must_use]
 pub fn document(openapi: &Value) -> Value {
-    let own = serde_json::to_value(OwnSchemas::openapi()).unwrap_or_default();
+    let mut own = serde_json::to_value(OwnSchemas::openapi()).unwrap_or_default();
+    describe_in_place(&mut own);
+    bound_numbers(&mut own);
     let mut contents = Contents::default();
     let follow =
         "Subscribe to states, telemetry, events, frames, the fleet or alarms. Replaces the previous subscription";

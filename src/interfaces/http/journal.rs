@@ -99,7 +99,6 @@ struct MeasuredRecord {
     "t_ms": [0, 10], "width_mm": [60.0, 59.5], "speed_mm_s": [0.0, -50.0], "force_n": [0.0, 0.0]}))]
 pub struct Curve {
     /// The command's id.
-    #[schema(value_type = uuid::Uuid)]
     id: CommandId,
     /// Time at which the frame of the first sample arrived, in UTC with microseconds; null in older records.
     #[schema(required, format = DateTime)]

@@ -12,6 +12,7 @@ use super::meanings;
 use super::paths;
 use super::paths::parameters::in_path;
 use super::paths::responses::{FORWARDED, references};
+use crate::operations::values::MAX_EXACT;
 
 /// Paths of a gripper of this gateway, and of any gateway.
 const OWN: &str = "/grippers/{gripper}";
@@ -22,6 +23,7 @@ pub fn completed(document: &OpenApi) -> Value {
     let mut document = serde_json::to_value(document).unwrap_or_default();
     paths::describe(&mut document);
     describe_in_place(&mut document);
+    bound_numbers(&mut document);
     allow_null_fields(&mut document);
     add_forwarded(&mut document);
     share_parameters(&mut document);
@@ -35,7 +37,7 @@ pub fn completed(document: &OpenApi) -> Value {
 }
 
 /// Describes the types of single values where they are used. Their names end in `Field`.
-fn describe_in_place(document: &mut Value) {
+pub fn describe_in_place(document: &mut Value) {
     let Some(schemas) = document["components"]["schemas"].as_object_mut() else { return };
     let mut fields = Map::new();
     schemas.retain(|name, schema| {
@@ -45,20 +47,59 @@ fn describe_in_place(document: &mut Value) {
         }
         !is_field
     });
-    let properties = schemas.values_mut().filter_map(|schema| schema.get_mut("properties")?.as_object_mut());
-    for property in properties.flat_map(Map::values_mut) {
-        // An optional field is described as a reference or null.
-        let alternatives = property.get("oneOf").and_then(Value::as_array).cloned().unwrap_or_default();
-        let used = alternatives.iter().chain([&*property]).find_map(|one| {
-            let name = one.get("$ref")?.as_str()?.rsplit('/').next()?;
-            Some((fields.get(name)?.clone(), one.get("description").cloned()))
-        });
-        if let Some((mut schema, description)) = used {
-            if let Some(description) = description {
-                schema["description"] = description;
-            }
-            *property = schema;
+    replace_references(document, &fields);
+}
+
+fn replace_references(value: &mut Value, fields: &Map<String, Value>) {
+    match value {
+        Value::Array(items) => items.iter_mut().for_each(|item| replace_references(item, fields)),
+        Value::Object(object) => {
+            replace_reference(object, fields);
+            object.values_mut().for_each(|value| replace_references(value, fields));
         }
+        _ => {}
+    }
+}
+
+/// Replaces a reference to a field's schema, or the choice between such a reference and null, by the schema itself.
+fn replace_reference(object: &mut Map<String, Value>, fields: &Map<String, Value>) {
+    let alternatives = object.get("oneOf").and_then(Value::as_array);
+    let is_nullable = alternatives.is_some_and(|all| all.contains(&json!({"type": "null"})));
+    let found = alternatives.into_iter().flatten().filter_map(Value::as_object).chain([&*object]).find_map(|given| {
+        let name = given.get("$ref")?.as_str()?.rsplit('/').next()?;
+        Some((fields.get(name)?.as_object()?.clone(), given.get("description").cloned()))
+    });
+    let Some((schema, description)) = found else { return };
+    object.remove("$ref");
+    object.remove("oneOf");
+    if let Some(description) = description {
+        object.insert("description".to_owned(), description);
+    }
+    for (key, value) in schema {
+        object.entry(key).or_insert(value);
+    }
+    if !is_nullable {
+        return;
+    }
+    if let Some(kind) = object.get("type").and_then(Value::as_str) {
+        let kinds = json!([kind, "null"]);
+        object.insert("type".to_owned(), kinds);
+    } else if let Some(alternatives) = object.get_mut("oneOf").and_then(Value::as_array_mut) {
+        alternatives.push(json!({"type": "null"}));
+    }
+}
+
+/// States the bound of whole numbers of 64 bits that have none: the greatest that every JSON parser represents exactly.
+pub fn bound_numbers(value: &mut Value) {
+    match value {
+        Value::Array(items) => items.iter_mut().for_each(bound_numbers),
+        Value::Object(object) => {
+            if object.get("format").is_some_and(|format| format == "int64") {
+                object.entry("maximum").or_insert(MAX_EXACT.into());
+            }
+            object.values_mut().for_each(bound_numbers);
+        }
+        _ => {}
     }
 }
 

@@ -9,8 +9,11 @@ use utoipa::ToSchema;
 
 use crate::events::{DEFAULT_HZ, MAX_HZ, Subscription, Topic};
 use crate::model::{Name, State};
-use crate::operations::values::integer;
+use crate::operations::values::Whole;
 use crate::operations::{Gateway, Problem, json};
+
+/// Maximum rate, per second.
+type MaxHz = Whole<1, MAX_HZ>;
 
 /// A subscription, which replaces the previous one. Without topics it ends all updates.
 #[derive(Debug, Deserialize, ToSchema)]
@@ -22,8 +25,8 @@ pub struct Subscribe {
     /// Topics to subscribe to.
     topics: BTreeSet<Topic>,
     /// Maximum rate of states and telemetry for each gripper, per second. The fleet's rate is always 10.
-    #[schema(value_type = Option<u64>, minimum = 1, maximum = 100, default = 10)]
-    max_hz: Option<f64>,
+    #[schema(default = 10)]
+    max_hz: Option<MaxHz>,
 }
 
 /// The accepted subscription and the current states, from which the notifications continue.
@@ -35,10 +38,8 @@ pub struct Subscribed {
     #[schema(minimum = 1, maximum = 100)]
     max_hz: u64,
     /// `seq` of the newest event; notifications start after it.
-    #[schema(minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     event_seq: i64,
     /// Current states of the grippers.
-    #[schema(value_type = Vec<State>)]
     states: Vec<Arc<State>>,
 }
 
@@ -51,7 +52,7 @@ pub struct Following {
 pub fn subscribe(gateway: &Gateway, params: &Value) -> Result<(Subscribed, Following), Problem> {
     let Subscribe { grippers, topics, max_hz } = json::parse(params.to_string().as_bytes())?;
     let names = grippers.map(|names| names.iter().map(|name| known(gateway, name)).collect()).transpose()?;
-    let max_hz = max_hz.map_or(Ok(DEFAULT_HZ), |number| integer("max_hz", number, 1..=MAX_HZ))?;
+    let max_hz = max_hz.map_or(Ok(DEFAULT_HZ), |max_hz| max_hz.checked("max_hz"))?;
     let mut updates = gateway.updates.subscribe(names.as_ref(), topics.iter().copied());
     let event_seq = updates.event_seq();
     let states = updates.snapshot();

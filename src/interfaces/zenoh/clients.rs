@@ -141,7 +141,8 @@ impl Clients {
     /// Watches client tokens and connections, including existing ones.
     pub async fn declare(self: &Arc<Self>, session: &zenoh::Session) -> zenoh::Result<()> {
         let clients = self.clone();
-        let events = session.info().transport_events_listener().history(true);
+        let info = session.info();
+        let events = info.transport_events_listener().history(true);
         let events = events.callback(move |event: TransportEvent| {
             clients.connection(*event.transport().zid(), event.kind());
         });

@@ -47,7 +47,7 @@ pub enum DeviceEvent {
         /// Sorts of changes, such as `link reconnecting` or `fault TEMP_FAULT`.
         cause: String,
         /// Number of changes left out within one second.
-        #[schema(minimum = 1, maximum = 9_007_199_254_740_991_i64)]
+        #[schema(minimum = 1)]
         count: u64,
     },
     /// Clients sent a script motions with an id from `stream_ids`. The first request is recorded at once, and further

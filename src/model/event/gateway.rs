@@ -31,7 +31,6 @@ pub enum GatewayEvent {
     /// The previous run of the gateway did not shut down cleanly.
     UncleanEnd {
         /// Ids of the commands that were running; each gets the outcome `UNKNOWN`.
-        #[schema(value_type = Vec<uuid::Uuid>)]
         running: Vec<CommandId>,
     },
     /// The gateway has shut down cleanly.

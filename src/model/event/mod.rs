@@ -9,8 +9,8 @@ use strum::{EnumMessage, VariantArray};
 use utoipa::ToSchema;
 
 use super::{
-    AlarmEvent, Client, ClientLabel, Code, CommandId, CommandReport, Door, FastStopCause, FastStopId, Kind, Name,
-    Outcome, Parameters, PartId, RecipeEvent, RequestId, RequestedValues, Text, lease::LeaseEvent,
+    AlarmEvent, Client, ClientLabel, Code, CommandId, CommandReport, Door, FastStopCause, FastStopId, FingerSetId,
+    Kind, Name, Outcome, Parameters, PartId, RecipeEvent, RequestId, RequestedValues, lease::LeaseEvent,
 };
 
 mod device;
@@ -24,28 +24,27 @@ pub use gateway::{GatewayEvent, KeptShare};
 pub struct Event {
     /// Time of the event.
     #[serde(serialize_with = "super::time::milliseconds")]
-    #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
     /// Name of the gripper; null if the event concerns all grippers.
-    #[schema(value_type = Option<String>, required, max_length = 32)]
+    #[schema(required)]
     pub gripper: Option<Name>,
     /// Subject of the client that caused the event; null if no client did.
-    #[schema(value_type = Option<String>, required)]
+    #[schema(required)]
     pub subject: Option<Arc<str>>,
     /// Name that the client gave, if it has no credential. It is shown beside the subject, and proves nothing.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<String>, nullable = false, max_length = 32)]
+    #[schema(nullable = false)]
     pub label: Option<ClientLabel>,
     /// Interface that the client used; null if no client caused the event.
     #[schema(required)]
     pub door: Option<Door>,
     /// Id of the command that the event belongs to; null if it belongs to none.
-    #[schema(value_type = Option<uuid::Uuid>, required)]
+    #[schema(required)]
     pub command_id: Option<CommandId>,
     /// Number of earlier events of the same kind that this event also stands for; absent if it stands for itself
     /// alone. For a client that exceeds its rate, only the newest event is stored, at most once a second.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<u64>, nullable = false, minimum = 1, maximum = 9_007_199_254_740_991_i64)]
+    #[schema(value_type = Option<u64>, nullable = false, minimum = 1)]
     pub aggregated: Option<NonZero<u64>>,
     #[serde(flatten)]
     pub detail: Detail,
@@ -116,11 +115,11 @@ pub struct Admitted {
     pub command: Kind,
     /// Name of the lease holder, if the command was requested with the lease.
     #[serde(skip_serializing_if = "Option::is_none", default)]
-    #[schema(value_type = Option<String>, nullable = false)]
+    #[schema(nullable = false)]
     pub holder: Option<Arc<str>>,
     /// Id by which a repeated request is recognised.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<String>, nullable = false, max_length = 64)]
+    #[schema(nullable = false)]
     pub request_id: Option<RequestId>,
     /// Parameters of the request.
     #[serde(flatten)]
@@ -158,22 +157,21 @@ pub struct Done {
     pub contact_width_mm: Option<f32>,
     /// Time of admission.
     #[serde(serialize_with = "super::time::milliseconds")]
-    #[schema(value_type = String, format = DateTime)]
     pub started_at: Timestamp,
     /// Time from admission to end, in ms.
     #[schema(required)]
     pub duration_ms: Option<u64>,
     /// Id of the FAST STOP that came while the command ran.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<uuid::Uuid>, nullable = false)]
+    #[schema(nullable = false)]
     pub fast_stop_id: Option<FastStopId>,
     /// Name of the part.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<String>, nullable = false, max_length = 48)]
+    #[schema(nullable = false)]
     pub part_id: Option<PartId>,
     /// Subject of the client that cancelled the command.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<String>, nullable = false)]
+    #[schema(nullable = false)]
     pub cancelled_by: Option<Arc<str>>,
     /// Code of the problem that ended the command as `BLOCKED`, `RANGE`, `TIMEOUT`, `FAILED`, `REFUSED` or `UNKNOWN`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -219,7 +217,6 @@ pub struct FastStopEvent {
     /// Step that was reached.
     pub event: FastStopStep,
     /// Id that an acknowledgement has to name.
-    #[schema(value_type = uuid::Uuid)]
     pub fast_stop_id: FastStopId,
     /// Cause of the FAST STOP.
     pub cause: FastStopCause,
@@ -227,7 +224,7 @@ pub struct FastStopEvent {
     pub reason: String,
     /// Number of FAST STOPs that this event stands for. Repeated requests are counted, and only the newest is stored,
     /// once a second.
-    #[schema(minimum = 1, maximum = 9_007_199_254_740_991_i64)]
+    #[schema(minimum = 1)]
     pub count: u64,
 }
 
@@ -245,7 +242,7 @@ pub enum FastStopStep {
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct AcknowledgeEvent {
     /// Id of the FAST STOP that the acknowledgement named; null for a fault of the device without a FAST STOP.
-    #[schema(value_type = Option<uuid::Uuid>, required)]
+    #[schema(required)]
     pub fast_stop_id: Option<FastStopId>,
     /// Whether the FAST STOP was cleared. For a fault without a FAST STOP: whether the device accepted the
     /// acknowledgement.
@@ -317,11 +314,9 @@ pub enum SettingChange {
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct FingerSetChange {
     /// Id of the finger set.
-    #[schema(value_type = String, max_length = 48)]
-    pub finger_set: Text<48>,
+    pub finger_set: FingerSetId,
     /// Time from which the use of the set is counted.
     #[serde(serialize_with = "super::time::milliseconds")]
-    #[schema(value_type = String, format = DateTime)]
     pub mounted_at: Timestamp,
     /// Number of grips after which the set needs maintenance; null without a limit.
     #[schema(required)]

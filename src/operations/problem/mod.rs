@@ -74,23 +74,23 @@ pub struct Members {
     device_status_code: Option<u16>,
     /// Id of the latched FAST STOP, which an acknowledgement has to name; only if one is latched.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<uuid::Uuid>, nullable = false)]
+    #[schema(nullable = false)]
     fast_stop_id: Option<FastStopId>,
     /// Id of the running command that prevents the request, if one does.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<uuid::Uuid>, nullable = false)]
+    #[schema(nullable = false)]
     command_id: Option<CommandId>,
     /// Same as `command_id`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<uuid::Uuid>, nullable = false, deprecated)]
+    #[schema(nullable = false, deprecated)]
     command: Option<CommandId>,
     /// Holder of the lease, if the lease prevents the request.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<String>, nullable = false)]
+    #[schema(nullable = false)]
     holder: Option<Arc<str>>,
     /// Time in ms until that lease expires without use; only with `lease_held`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(nullable = false, minimum = 0, maximum = 9_007_199_254_740_991_i64)]
+    #[schema(nullable = false, minimum = 0)]
     expires_in_ms: Option<u64>,
     /// Whether the journal already has a record of the problem, e.g. as a command's end.
     #[serde(skip)]
