@@ -14,7 +14,7 @@ pub struct GripRecord {
     /// Id of the command.
     pub id: CommandId,
     /// Name of the gateway. Absent from records of version 0.1.0.
-    #[schema(nullable = false)]
+    #[schema(required = false)]
     pub gateway: Name,
     /// Name of the gripper.
     pub gripper: Name,

@@ -9,7 +9,7 @@ use super::durable::{check_journal, durable};
 use super::operation::operations;
 use super::problem::Problem;
 use super::reply::Json;
-use super::values::{PartIdText, Whole, part_id};
+use super::values::{FingerSetText, Whole, part_id};
 use crate::model::Name;
 use crate::wear::{FingerSet, MountRequest};
 
@@ -97,7 +97,7 @@ impl FingerSetAnswer {
 #[schema(example = json!({"id": "F-12", "maintenance_cycles": 100_000}))]
 pub struct SetFingerSet {
     /// Id of the finger set: 1 to 48 bytes, or a whole number, which is stored as text.
-    id: PartIdText,
+    id: FingerSetText,
     /// Number of grips after which the set needs maintenance; unlimited if absent.
     maintenance_cycles: Option<Cycles>,
     /// Distance after which the set needs maintenance, in m; unlimited if absent.

@@ -188,34 +188,37 @@ impl fmt::Display for TextOrNumber {
     }
 }
 
-/// A text of at most `MAX` bytes, or a whole number, which is treated as text.
+/// A text of `MIN` to `MAX` bytes, or a whole number, which is treated as text.
 #[derive(Debug, Deserialize)]
 #[serde(transparent)]
-pub struct ShortText<const MAX: usize>(TextOrNumber);
+pub struct ShortText<const MAX: usize, const MIN: usize = 0>(TextOrNumber);
 
-/// Id of a part, or of a finger set.
+/// Id of a part; empty means none.
 pub type PartIdText = ShortText<48>;
+/// Id of a finger set.
+pub type FingerSetText = ShortText<48, 1>;
 /// Id of a request.
 pub type RequestIdText = ShortText<64>;
 
-impl<const MAX: usize> fmt::Display for ShortText<MAX> {
+impl<const MAX: usize, const MIN: usize> fmt::Display for ShortText<MAX, MIN> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.0.fmt(f)
     }
 }
 
-impl<const MAX: usize> PartialSchema for ShortText<MAX> {
+impl<const MAX: usize, const MIN: usize> PartialSchema for ShortText<MAX, MIN> {
     fn schema() -> RefOr<Schema> {
         let text = ObjectBuilder::new().schema_type(Type::String).max_length(Some(MAX));
+        let text = text.min_length((MIN > 0).then_some(MIN));
         let text = text.pattern(Some(r"^[^\u0000-\u001f\u007f-\u009f]*$"));
         let number = ObjectBuilder::new().schema_type(Type::Integer).minimum(Some(i64::MIN)).maximum(Some(i64::MAX));
         Schema::OneOf(OneOfBuilder::new().item(text).item(number).build()).into()
     }
 }
 
-impl<const MAX: usize> ToSchema for ShortText<MAX> {
+impl<const MAX: usize, const MIN: usize> ToSchema for ShortText<MAX, MIN> {
     fn name() -> Cow<'static, str> {
-        format!("ShortText{MAX}Field").into()
+        format!("ShortText{MIN}To{MAX}Field").into()
     }
 }
 

@@ -58,8 +58,10 @@ pub struct WebhookReport {
     #[schema(required)]
     kinds: Option<Vec<EventKind>>,
     /// `seq` of the newest event that was delivered, or skipped because of its kind.
+    #[schema(minimum = 0)]
     position: i64,
     /// Number of events after the position, of any kind.
+    #[schema(minimum = 0)]
     waiting: i64,
     /// Time of the newest delivery since the gateway started; null before the first.
     #[schema(value_type = Option<String>, format = DateTime, required)]
