@@ -1,6 +1,7 @@
 //! Architecture test: which room of `src` can use which, and house rules for every file.
 
 mod code;
+mod idioms;
 mod pinned;
 
 use std::collections::{BTreeMap, BTreeSet};
