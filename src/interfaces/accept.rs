@@ -7,6 +7,7 @@
 
 use std::io;
 use std::net::SocketAddr;
+use std::sync::Arc;
 use std::time::Duration;
 
 use rustix::net::RecvFlags;
@@ -17,7 +18,7 @@ use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep, timeout};
 use tokio_util::sync::CancellationToken;
 
-use super::admission::{Admission, Patience};
+use super::admission::{Admission, Patience, UndecidedSlot};
 
 /// Connections that the kernel queues until they are accepted. A FAST STOP waits in this queue during a flood of
 /// connects, so a larger backlog delays it longer. With a smaller one, the kernel drops connects, which clients repeat only
@@ -39,6 +40,9 @@ pub const FIRST_BYTES: usize = 1024;
 
 /// Time for the first bytes of a connection that has found no room, and for the rest of a first line after its beginning.
 pub const FIRST_BYTES_WITHIN: Duration = Duration::from_millis(20);
+
+/// Time for the rest of a FAST STOP whose first bytes have arrived. It is short, since a FAST STOP waits for nothing else.
+pub const REST_WITHIN: Duration = Duration::from_millis(1);
 
 /// Listens on an address. The listener is not registered with a runtime.
 ///
@@ -80,25 +84,72 @@ impl Acceptor {
     }
 }
 
-/// Returns a slot for inspecting a connection while too many others are leaving. A connection whose first bytes are already
-/// those of a FAST STOP can use slots that others can't.
-pub fn slot_in_crowd(
-    admission: &Admission,
-    stream: &TcpStream,
-    begins_with_fast_stop: fn(&[u8]) -> bool,
-) -> Option<OwnedSemaphorePermit> {
-    let mut first = [0; FIRST_BYTES];
-    let seen = peek_now(stream, &mut first);
-    let has_fast_stop = begins_with_fast_stop(first.get(..seen).unwrap_or_default());
-    admission.reserved(has_fast_stop).or_else(|| admission.displaced())
+/// How an interface recognises a FAST STOP in the first bytes of a connection.
+#[derive(Debug, Clone, Copy)]
+pub struct FastStopRule {
+    /// Whether bytes can be the first of a FAST STOP.
+    pub may_begin: fn(&[u8]) -> bool,
+    /// Whether bytes begin with a whole FAST STOP.
+    pub is_whole: fn(&[u8]) -> bool,
 }
 
-/// Waits a moment for the first bytes of a connection that has found no room. Returns whether they begin a FAST STOP.
-pub async fn brings_fast_stop(stream: &TcpStream, begins_with_fast_stop: fn(&[u8]) -> bool) -> bool {
+/// Slot of a connection that has found no room.
+#[derive(Debug)]
+pub enum CrowdSlot {
+    /// Its first bytes are a whole FAST STOP.
+    Whole(OwnedSemaphorePermit),
+    /// It has sent nothing yet, or the beginning of a FAST STOP.
+    Undecided(UndecidedSlot),
+}
+
+/// Returns a slot for a connection that has found no room, unless its first bytes are not those of a FAST STOP. A client
+/// whose processor is busy sends them only some milliseconds after its connect.
+pub async fn slot_in_crowd(admission: &Admission, stream: &TcpStream, rule: FastStopRule) -> Option<CrowdSlot> {
     let mut first = [0; FIRST_BYTES];
-    let seen = timeout(FIRST_BYTES_WITHIN, stream.peek(&mut first)).await;
-    let seen = seen.map_or(0, Result::unwrap_or_default);
-    begins_with_fast_stop(first.get(..seen).unwrap_or_default())
+    let seen = peek_now(stream, &mut first);
+    let first = first.get(..seen).unwrap_or_default();
+    if (rule.is_whole)(first)
+        && let Some(slot) = admission.reserved(true)
+    {
+        return Some(CrowdSlot::Whole(slot));
+    }
+    if !first.is_empty() && !(rule.may_begin)(first) {
+        return None;
+    }
+    admission.undecided().await.map(CrowdSlot::Undecided)
+}
+
+/// Waits a moment for the FAST STOP of a connection that has found no room. Returns a slot in which it is admitted, if it
+/// has brought one.
+pub async fn fast_stop_in_crowd(
+    admission: &Admission,
+    stream: &TcpStream,
+    slot: CrowdSlot,
+    rule: FastStopRule,
+) -> Option<OwnedSemaphorePermit> {
+    let undecided = match slot {
+        CrowdSlot::Whole(slot) => return Some(slot),
+        CrowdSlot::Undecided(slot) => slot,
+    };
+    let mut first = [0; FIRST_BYTES];
+    let arrives = async {
+        let seen = timeout(FIRST_BYTES_WITHIN, stream.peek(&mut first)).await;
+        let seen = seen.map_or(0, Result::unwrap_or_default);
+        if !(rule.is_whole)(first.get(..seen).unwrap_or_default()) {
+            // Many clients send head and body one right after the other.
+            sleep(REST_WITHIN).await;
+        }
+    };
+    tokio::select! {
+        biased;
+        () = undecided.gives_way() => {}
+        () = arrives => {}
+    }
+    // Bytes that arrived before it gave way still count.
+    let seen = peek_now(stream, &mut first);
+    drop(undecided);
+    let first = first.get(..seen).unwrap_or_default();
+    if (rule.may_begin)(first) { admission.reserved((rule.is_whole)(first)) } else { None }
 }
 
 /// Peeks without waiting for tokio's readiness, which a fresh stream does not have yet.
@@ -109,9 +160,9 @@ pub fn peek_now(stream: &TcpStream, buffer: &mut [u8]) -> usize {
 /// Accepts clients until `draining`, and runs what `admit` returns for each. Returns the clients that are still served.
 pub async fn each<A, F>(
     listener: &TcpListener,
-    admission: &Admission,
+    admission: &Arc<Admission>,
     draining: &CancellationToken,
-    begins_with_fast_stop: fn(&[u8]) -> bool,
+    rule: FastStopRule,
     admit: A,
 ) -> JoinSet<()>
 where
@@ -143,10 +194,12 @@ where
             }
             continue;
         }
-        let Some(slot) = slot_in_crowd(admission, &stream, begins_with_fast_stop) else { continue };
+        let Some(slot) = slot_in_crowd(admission, &stream, rule).await else { continue };
+        let admission = admission.clone();
         let admit = admit.clone();
         clients.spawn(async move {
-            let is_served = brings_fast_stop(&stream, begins_with_fast_stop).await;
+            let slot = fast_stop_in_crowd(&admission, &stream, slot, rule).await;
+            let is_served = slot.is_some();
             drop(slot);
             if is_served && let Some(served) = admit(stream, peer) {
                 served.await;

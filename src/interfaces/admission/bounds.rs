@@ -52,7 +52,7 @@ pub struct Bounds {
     pub(super) leaving: usize,
     /// Connections that are inspected while too many others are leaving.
     pub(super) reserved: usize,
-    /// Connections that were evicted before their first byte, or found no reserved slot, and get a moment to send it.
+    /// Connections that were evicted before their first byte, or found no room, and get a moment to send a FAST STOP.
     pub(super) displaced: usize,
     /// Bytes held for all clients together.
     pub held_bytes: usize,
@@ -79,9 +79,9 @@ const LEAVING: usize = 128;
 /// Connections that are inspected while too many others are leaving. Only those that begin with a FAST STOP are then
 /// admitted.
 const RESERVED: usize = 64;
-/// Connections that were evicted before their first byte, or found no reserved slot. A flood fills these slots within
-/// milliseconds, so more would help only against short bursts.
-const DISPLACED: usize = 64;
+/// Connections that were evicted before their first byte, or found no room, and may still bring a FAST STOP. The newest
+/// wins: enough that a flood of 10,000 connects a second leaves each of them 19 ms to send it.
+const DISPLACED: usize = 192;
 
 /// Lease holders. A gripper has one; the others have lost theirs within the last second.
 const PINNED: usize = 16;

@@ -13,6 +13,7 @@ mod bounds;
 mod metrics;
 mod patience;
 mod table;
+mod undecided;
 
 use std::net::IpAddr;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -29,6 +30,8 @@ pub use metrics::Usage;
 pub use patience::Patience;
 pub use table::peer;
 use table::{Id, Table};
+use undecided::Undecided;
+pub use undecided::UndecidedSlot;
 
 /// Time for an evicted connection to deliver its response, also to a FAST STOP whose first bytes arrived before the
 /// eviction.
@@ -53,8 +56,9 @@ pub struct Admission {
     tracker: TaskTracker,
     /// Slots for inspecting connections while too many others are leaving.
     reserve: Arc<Semaphore>,
-    /// Slots for connections that were evicted before their first byte, and for those that find no slot in `reserve`.
-    displaced: Arc<Semaphore>,
+    /// Slots for connections that were evicted before their first byte, or that have found no room, and may still bring a
+    /// FAST STOP.
+    undecided: Arc<Undecided>,
 }
 
 impl Admission {
@@ -63,8 +67,8 @@ impl Admission {
         let table = Mutex::new(Table::new(bounds));
         let tracker = TaskTracker::new();
         let reserve = Arc::new(Semaphore::new(bounds.reserved + FOR_WHOLE_FAST_STOPS));
-        let displaced = Arc::new(Semaphore::new(bounds.displaced));
-        Arc::new(Self { table, ended: Notify::new(), released: Notify::new(), tracker, reserve, displaced })
+        let undecided = Undecided::new(bounds.displaced);
+        Arc::new(Self { table, ended: Notify::new(), released: Notify::new(), tracker, reserve, undecided })
     }
 
     /// Admits a connection as [`Class::Incoming`]. Cancelling `closing` evicts the connection, too.
@@ -90,7 +94,7 @@ impl Admission {
     /// displaced slot. Evicted connections that are still ending may each take such a slot.
     fn would_displace(&self) -> bool {
         let table = self.table();
-        !table.is_crowded() && table.is_full_of_silent(now()) && self.displaced.available_permits() <= table.leaving()
+        !table.is_crowded() && table.is_full_of_silent(now()) && self.undecided.available() <= table.leaving()
     }
 
     /// Whether so many evicted connections are still ending that no further connection is admitted.
@@ -105,10 +109,15 @@ impl Admission {
         has_room.then(|| self.reserve.clone().try_acquire_owned().ok()).flatten()
     }
 
-    /// Returns a slot for a connection that was evicted before its first byte, or finds no reserved slot. It may begin a
-    /// FAST STOP.
-    pub fn displaced(&self) -> Option<OwnedSemaphorePermit> {
-        self.displaced.clone().try_acquire_owned().ok()
+    /// Returns a free slot for a connection that was evicted before its first byte. It may begin a FAST STOP.
+    pub fn displaced(&self) -> Option<UndecidedSlot> {
+        self.undecided.free()
+    }
+
+    /// Returns a slot for a connection that has found no room, and may still bring a FAST STOP. Of the connections in such
+    /// slots, the oldest gives way.
+    pub async fn undecided(&self) -> Option<UndecidedSlot> {
+        self.undecided.newest().await
     }
 
     /// Closes the oldest connection without a claim, because the process is out of descriptors.
@@ -178,7 +187,7 @@ impl ConnectionPermit {
     /// moment for the first bytes; `None` if all of these are taken.
     pub fn displaced(&self) -> Option<OwnedSemaphorePermit> {
         self.closed();
-        self.admission.displaced()
+        self.admission.undecided.lasting()
     }
 
     /// Frees the slot of an evicted connection whose socket is closed. A FAST STOP can still use the permit.

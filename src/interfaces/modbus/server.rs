@@ -12,7 +12,7 @@ use tokio_util::sync::CancellationToken;
 use super::adu;
 use super::connection::ModbusConnection;
 use super::context::{ModbusContext, ModbusSettings, NewestSettings};
-use crate::interfaces::accept;
+use crate::interfaces::accept::{self, FastStopRule};
 use crate::interfaces::admission::{Admission, Bounds};
 use crate::interfaces::sockets;
 use crate::model::Door;
@@ -31,7 +31,7 @@ pub async fn serve(
     let settings = NewestSettings::of(settings);
     let admission = Admission::new(Bounds::alike(descriptors));
     let admitting = admission.clone();
-    let clients = accept::each(&listener, &admission, &draining, adu::begins_with_write, move |stream, peer| {
+    let clients = accept::each(&listener, &admission, &draining, FAST_STOP, move |stream, peer| {
         admit(&context, &settings, &admitting, stream, peer).map(|connection| connection.run(closing.clone()))
     });
     let mut clients = clients.await;
@@ -39,6 +39,8 @@ pub async fn serve(
     while clients.join_next().await.is_some() {}
     Ok(())
 }
+
+const FAST_STOP: FastStopRule = FastStopRule { may_begin: adu::begins_with_write, is_whole: adu::begins_with_write };
 
 fn admit(
     context: &Arc<ModbusContext>,

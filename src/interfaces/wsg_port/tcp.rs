@@ -12,7 +12,7 @@ use tokio_util::sync::CancellationToken;
 use super::client::Served;
 use super::opening::CheckedReader;
 use super::port::{LOST_AFTER, Port};
-use crate::interfaces::accept;
+use crate::interfaces::accept::{self, FastStopRule};
 use crate::interfaces::admission::Admission;
 use crate::interfaces::sockets;
 use crate::wsg::frame::{OVERHEAD_BYTES, PREAMBLE};
@@ -28,7 +28,7 @@ pub(super) async fn serve(
     let admission = port.admission();
     let admitting = admission.clone();
     let ends = closing.clone();
-    let clients = accept::each(&listener, &admission, &draining, begins_with_fast_stop, move |stream, peer| {
+    let clients = accept::each(&listener, &admission, &draining, FAST_STOP, move |stream, peer| {
         admit(&port, stream, peer, &admitting).map(|served| served.run(ends.clone()))
     });
     let mut clients = clients.await;
@@ -36,6 +36,8 @@ pub(super) async fn serve(
     while clients.join_next().await.is_some() {}
     listener
 }
+
+const FAST_STOP: FastStopRule = FastStopRule { may_begin: begins_with_fast_stop, is_whole: begins_with_fast_stop };
 
 /// Whether a connection begins with a whole FAST STOP, perhaps behind noise.
 fn begins_with_fast_stop(first: &[u8]) -> bool {

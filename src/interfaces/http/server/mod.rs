@@ -25,7 +25,7 @@ use super::fast_stop::{begins_with_fast_stop, may_be_fast_stop};
 use super::handshakes::Handshakes;
 use super::router::router;
 use super::settings::HttpSettings;
-use crate::interfaces::accept::{self, Acceptor};
+use crate::interfaces::accept::{self, Acceptor, CrowdSlot, FastStopRule};
 use crate::interfaces::admission::{Admission, ConnectionPermit, Usage};
 use crate::interfaces::metrics::Connected;
 use connection::Server;
@@ -72,6 +72,8 @@ pub async fn serve(listeners: Listeners, context: Arc<HttpContext>, limits: Serv
     }
 }
 
+const FAST_STOP: FastStopRule = FastStopRule { may_begin: may_be_fast_stop, is_whole: begins_with_fast_stop };
+
 impl Server {
     async fn accept_all(self: &Arc<Self>, mut listeners: Listeners) {
         let mut acceptor = Acceptor::default();
@@ -90,8 +92,7 @@ impl Server {
                 Ok((stream, peer)) if self.admission.is_crowded() => {
                     // Evicted connections end on the request runtimes, which can be busy. A FAST STOP must not wait for
                     // them.
-                    let slot = accept::slot_in_crowd(&self.admission, &stream, begins_with_fast_stop);
-                    self.await_fast_stop(stream, peer, slot);
+                    self.await_fast_stop(stream, peer).await;
                 }
                 Ok((stream, peer)) => {
                     let permit = self.admit(peer);
@@ -103,27 +104,43 @@ impl Server {
         }
     }
 
-    /// Keeps a connection for up to [`accept::FIRST_BYTES_WITHIN`] if it has a slot (with TLS [`HANDSHAKE_IN_CROWD`]), and serves
-    /// it if it begins with a FAST STOP.
-    fn await_fast_stop(self: &Arc<Self>, stream: TcpStream, peer: SocketAddr, slot: Option<OwnedSemaphorePermit>) {
-        if let Some(slot) = slot {
-            tokio::spawn(self.clone().admit_fast_stop(stream, peer, slot));
+    /// Keeps a connection that has found no room for a moment, if it has a slot: up to [`accept::FIRST_BYTES_WITHIN`], with
+    /// TLS [`HANDSHAKE_IN_CROWD`]. It is served if it begins with a FAST STOP.
+    async fn await_fast_stop(self: &Arc<Self>, stream: TcpStream, peer: SocketAddr) {
+        let settings = self.context.settings.get();
+        if settings.tls.is_some() {
+            if let Some(slot) = self.admission.reserved(false) {
+                tokio::spawn(self.clone().decrypt_in_crowd(settings, stream, peer, slot));
+            }
+        } else if let Some(slot) = accept::slot_in_crowd(&self.admission, &stream, FAST_STOP).await {
+            self.inspect_in_crowd(stream, peer, slot);
         }
     }
 
+    /// Inspects a connection in a task of its own.
+    fn inspect_in_crowd(self: &Arc<Self>, stream: TcpStream, peer: SocketAddr, slot: CrowdSlot) {
+        tokio::spawn(self.clone().admit_fast_stop(stream, peer, slot));
+    }
+
     /// Admits a connection only if it begins with a FAST STOP.
-    async fn admit_fast_stop(self: Arc<Self>, stream: TcpStream, peer: SocketAddr, slot: OwnedSemaphorePermit) {
-        let settings = self.context.settings.get();
-        if settings.tls.is_some() {
-            let begun = timeout(HANDSHAKE_IN_CROWD, self.decrypted(settings, stream, peer)).await;
-            if let Some(begun) = begun.ok().flatten().filter(|begun| begun.is_fast_stop) {
-                self.clone().serve(begun, peer, self.admit(peer), self.context.metrics.connected());
-            }
-        } else {
-            let is_served = accept::brings_fast_stop(&stream, may_be_fast_stop).await;
-            if is_served {
-                self.clone().begin(stream, peer, self.admit(peer), self.context.metrics.connected()).await;
-            }
+    async fn admit_fast_stop(self: Arc<Self>, stream: TcpStream, peer: SocketAddr, slot: CrowdSlot) {
+        let slot = accept::fast_stop_in_crowd(&self.admission, &stream, slot, FAST_STOP).await;
+        if slot.is_some() {
+            self.clone().begin(stream, peer, self.admit(peer), self.context.metrics.connected()).await;
+        }
+    }
+
+    /// Admits a connection with TLS only if it begins with a FAST STOP.
+    async fn decrypt_in_crowd(
+        self: Arc<Self>,
+        settings: Arc<HttpSettings>,
+        stream: TcpStream,
+        peer: SocketAddr,
+        slot: OwnedSemaphorePermit,
+    ) {
+        let begun = timeout(HANDSHAKE_IN_CROWD, self.decrypted(settings, stream, peer)).await;
+        if let Some(begun) = begun.ok().flatten().filter(|begun| begun.is_fast_stop) {
+            self.clone().serve(begun, peer, self.admit(peer), self.context.metrics.connected());
         }
         drop(slot);
     }
@@ -151,7 +168,10 @@ impl Server {
                 Inspected::Begun(begun) => Some(begun),
                 Inspected::Evicted(stream) if !self.closing.is_cancelled() => {
                     drop(permit);
-                    return self.await_fast_stop(stream, peer, self.admission.displaced());
+                    if let Some(slot) = self.admission.displaced().map(CrowdSlot::Undecided) {
+                        self.inspect_in_crowd(stream, peer, slot);
+                    }
+                    return;
                 }
                 Inspected::Evicted(_) | Inspected::Ended => None,
             }
