@@ -83,7 +83,7 @@ pub struct DamageRecord {
     #[schema(required)]
     pub name: Option<String>,
     /// Number of bytes.
-    #[schema(minimum = 1)]
+    #[schema(minimum = 1, maximum = 9_007_199_254_740_991_i64)]
     pub bytes: usize,
     /// The bytes as hex: at most the first 256.
     #[schema(max_length = 512)]

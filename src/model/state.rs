@@ -146,7 +146,7 @@ pub struct State {
     #[schema(required)]
     pub command_id: Option<CommandId>,
     /// Same as `command_id`.
-    #[schema(inline, required, deprecated)]
+    #[schema(value_type = Option<uuid::Uuid>, required, deprecated)]
     pub command: Option<CommandId>,
     /// Number of the newest motion, as in `number` of the command; 0 before the first. It survives restarts of the
     /// gateway, and 1 follows 4294967295.

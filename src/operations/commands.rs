@@ -98,7 +98,7 @@ async fn find(
 #[serde(deny_unknown_fields)]
 pub struct LatestFields {
     /// Request id that this client sent with the command within the last 10 minutes.
-    #[schema(example = "k3-17")]
+    #[schema(value_type = Option<String>, max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$", example = "k3-17")]
     request_id: Option<RequestIdText>,
 }
 

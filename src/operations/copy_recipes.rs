@@ -13,7 +13,7 @@ use super::operation::operations;
 use super::problem::Problem;
 use super::recipes::{MAX_RECIPES, SET_SEVERAL};
 use super::reply::Json;
-use super::values::{PartIdText, gripper_or_gateway, part_id};
+use super::values::{FullPartId, gripper_or_gateway, part_id};
 use crate::fleet::{NoAnswer, PeerRequest};
 use crate::model::{Code, Name, Recipe, Urgency};
 
@@ -39,7 +39,7 @@ pub struct CopyRecipes {
     gateway: String,
     /// Parts whose recipes are copied; all by default.
     #[schema(min_items = 1, max_items = 255)]
-    part_ids: Option<Vec<PartIdText>>,
+    part_ids: Option<Vec<FullPartId>>,
 }
 
 /// Result of a copy.
@@ -82,7 +82,7 @@ async fn copy(call: Call<CopyRecipes>) -> Result<Json<RecipesCopied>, Problem> {
     }
 }
 
-fn chosen<P>(call: &Call<P>, part_ids: Option<Vec<PartIdText>>) -> Result<Vec<Recipe>, Problem> {
+fn chosen<P>(call: &Call<P>, part_ids: Option<Vec<FullPartId>>) -> Result<Vec<Recipe>, Problem> {
     let all = call.gateway.recipes.all().into_iter().map(|version| version.recipe.clone());
     let Some(given) = part_ids else {
         let all: Vec<_> = all.collect();

@@ -195,6 +195,8 @@ pub struct ShortText<const MAX: usize, const MIN: usize = 0>(TextOrNumber);
 
 /// Id of a part; empty means none.
 pub type PartIdText = ShortText<48>;
+/// Id of a part that is given.
+pub type FullPartId = ShortText<48, 1>;
 /// Id of a finger set.
 pub type FingerSetText = ShortText<48, 1>;
 /// Id of a request.

@@ -65,6 +65,9 @@ fn replace_references(value: &mut Value, fields: &Map<String, Value>) {
 fn replace_reference(object: &mut Map<String, Value>, fields: &Map<String, Value>) {
     let alternatives = object.get("oneOf").and_then(Value::as_array);
     let is_nullable = alternatives.is_some_and(|all| all.contains(&json!({"type": "null"})));
+    if alternatives.is_some_and(|all| all.len() > 1 + usize::from(is_nullable)) {
+        return;
+    }
     let found = alternatives.into_iter().flatten().filter_map(Value::as_object).chain([&*object]).find_map(|given| {
         let name = given.get("$ref")?.as_str()?.rsplit('/').next()?;
         Some((fields.get(name)?.as_object()?.clone(), given.get("description").cloned()))

@@ -38,6 +38,7 @@ pub struct Subscribed {
     #[schema(minimum = 1, maximum = 100)]
     max_hz: u64,
     /// `seq` of the newest event; notifications start after it.
+    #[schema(minimum = 0)]
     event_seq: i64,
     /// Current states of the grippers.
     states: Vec<Arc<State>>,

@@ -82,7 +82,7 @@ pub struct Members {
     command_id: Option<CommandId>,
     /// Same as `command_id`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(inline, nullable = false, deprecated)]
+    #[schema(value_type = Option<uuid::Uuid>, nullable = false, deprecated)]
     command: Option<CommandId>,
     /// Holder of the lease, if the lease prevents the request.
     #[serde(skip_serializing_if = "Option::is_none")]
