@@ -41,9 +41,6 @@ pub const FIRST_BYTES: usize = 1024;
 /// Time for the first bytes of a connection that has found no room, and for the rest of a first line after its beginning.
 pub const FIRST_BYTES_WITHIN: Duration = Duration::from_millis(20);
 
-/// Time for the rest of a FAST STOP whose first bytes have arrived. It is short, since a FAST STOP waits for nothing else.
-pub const REST_WITHIN: Duration = Duration::from_millis(1);
-
 /// Listens on an address. The listener is not registered with a runtime.
 ///
 /// # Errors
@@ -96,30 +93,38 @@ pub struct FastStopRule {
 /// Slot of a connection that has found no room.
 #[derive(Debug)]
 pub enum CrowdSlot {
-    /// Its first bytes are a whole FAST STOP.
-    Whole(OwnedSemaphorePermit),
-    /// It has sent nothing yet, or the beginning of a FAST STOP.
+    Reserved(OwnedSemaphorePermit),
+    /// Gives way to newer connections.
     Undecided(UndecidedSlot),
 }
 
+impl CrowdSlot {
+    /// Completes when a newer connection has got the slot.
+    async fn gives_way(&self) {
+        match self {
+            Self::Reserved(_) => std::future::pending().await,
+            Self::Undecided(slot) => slot.gives_way().await,
+        }
+    }
+}
+
 /// Returns a slot for a connection that has found no room, unless its first bytes are not those of a FAST STOP. A client
-/// whose processor is busy sends them only some milliseconds after its connect.
+/// whose processor is busy sends them only some milliseconds after its connect. Some slots are reserved for those that have
+/// sent a whole FAST STOP.
 pub async fn slot_in_crowd(admission: &Admission, stream: &TcpStream, rule: FastStopRule) -> Option<CrowdSlot> {
     let mut first = [0; FIRST_BYTES];
     let seen = peek_now(stream, &mut first);
     let first = first.get(..seen).unwrap_or_default();
-    if (rule.is_whole)(first)
-        && let Some(slot) = admission.reserved(true)
-    {
-        return Some(CrowdSlot::Whole(slot));
-    }
     if !first.is_empty() && !(rule.may_begin)(first) {
         return None;
     }
-    admission.undecided().await.map(CrowdSlot::Undecided)
+    match admission.reserved((rule.is_whole)(first)) {
+        Some(slot) => Some(CrowdSlot::Reserved(slot)),
+        None => admission.undecided().await.map(CrowdSlot::Undecided),
+    }
 }
 
-/// Waits a moment for the FAST STOP of a connection that has found no room. Returns a slot in which it is admitted, if it
+/// Waits a moment for the FAST STOP of a connection that has found no room. Returns the slot in which it is admitted, if it
 /// has brought one.
 pub async fn fast_stop_in_crowd(
     admission: &Admission,
@@ -127,29 +132,22 @@ pub async fn fast_stop_in_crowd(
     slot: CrowdSlot,
     rule: FastStopRule,
 ) -> Option<OwnedSemaphorePermit> {
-    let undecided = match slot {
-        CrowdSlot::Whole(slot) => return Some(slot),
-        CrowdSlot::Undecided(slot) => slot,
-    };
     let mut first = [0; FIRST_BYTES];
-    let arrives = async {
-        let seen = timeout(FIRST_BYTES_WITHIN, stream.peek(&mut first)).await;
-        let seen = seen.map_or(0, Result::unwrap_or_default);
-        if !(rule.is_whole)(first.get(..seen).unwrap_or_default()) {
-            // Many clients send head and body one right after the other.
-            sleep(REST_WITHIN).await;
-        }
-    };
     tokio::select! {
         biased;
-        () = undecided.gives_way() => {}
-        () = arrives => {}
+        () = slot.gives_way() => {}
+        _ = timeout(FIRST_BYTES_WITHIN, stream.peek(&mut first)) => {}
     }
     // Bytes that arrived before it gave way still count.
     let seen = peek_now(stream, &mut first);
-    drop(undecided);
     let first = first.get(..seen).unwrap_or_default();
-    if (rule.may_begin)(first) { admission.reserved((rule.is_whole)(first)) } else { None }
+    if !(rule.may_begin)(first) {
+        return None;
+    }
+    match slot {
+        CrowdSlot::Reserved(slot) => Some(slot),
+        CrowdSlot::Undecided(slot) => slot.keep().or_else(|| admission.reserved((rule.is_whole)(first))),
+    }
 }
 
 /// Peeks without waiting for tokio's readiness, which a fresh stream does not have yet.

@@ -114,6 +114,11 @@ impl Admission {
         self.undecided.free()
     }
 
+    /// Returns a free slot for a connection that has found no room, and does not give way.
+    pub fn lasting(&self) -> Option<OwnedSemaphorePermit> {
+        self.undecided.lasting()
+    }
+
     /// Returns a slot for a connection that has found no room, and may still bring a FAST STOP. Of the connections in such
     /// slots, the oldest gives way.
     pub async fn undecided(&self) -> Option<UndecidedSlot> {
@@ -187,7 +192,7 @@ impl ConnectionPermit {
     /// moment for the first bytes; `None` if all of these are taken.
     pub fn displaced(&self) -> Option<OwnedSemaphorePermit> {
         self.closed();
-        self.admission.undecided.lasting()
+        self.admission.lasting()
     }
 
     /// Frees the slot of an evicted connection whose socket is closed. A FAST STOP can still use the permit.

@@ -3,14 +3,14 @@
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
 
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
-use tokio::time::timeout;
+use tokio::task::yield_now;
 use tokio_util::sync::CancellationToken;
 
-/// Time for a connection that gives way to free its slot. It does so at once, unless the runtime is busy.
-const FREE_WITHIN: Duration = Duration::from_millis(5);
+/// Connections that have given way and have not ended yet. Each still has a descriptor, which is among those that the
+/// gateway keeps for itself.
+const MAX_GIVING_WAY: usize = 16;
 
 /// The slots of one listener.
 #[derive(Debug)]
@@ -19,11 +19,12 @@ pub(super) struct Undecided {
     taken: Mutex<Taken>,
 }
 
-/// Connections in these slots that can give way, the oldest first.
 #[derive(Debug, Default)]
 struct Taken {
     next: u64,
-    tokens: BTreeMap<u64, CancellationToken>,
+    /// Slots of the connections that can give way, the oldest first.
+    slots: BTreeMap<u64, (CancellationToken, OwnedSemaphorePermit)>,
+    giving_way: usize,
 }
 
 impl Undecided {
@@ -42,18 +43,37 @@ impl Undecided {
 
     /// Returns a free slot.
     pub(super) fn free(self: &Arc<Self>) -> Option<UndecidedSlot> {
-        self.lasting().map(|permit| UndecidedSlot::new(self, permit))
+        let permit = self.lasting()?;
+        Some(self.take(&mut self.taken(), permit))
     }
 
-    /// Returns a slot; if all are taken, that of the oldest connection. `None` if no connection gives way.
+    /// Returns a slot; if all are taken, that of the oldest connection. `None` if no connection gives way. Waits for nothing
+    /// but the tasks that are ready to run.
     pub(super) async fn newest(self: &Arc<Self>) -> Option<UndecidedSlot> {
         if let Some(slot) = self.free() {
             return Some(slot);
         }
-        let oldest = self.taken().tokens.pop_first();
-        oldest?.1.cancel();
-        let permit = timeout(FREE_WITHIN, self.slots.clone().acquire_owned()).await.ok()?.ok()?;
-        Some(UndecidedSlot::new(self, permit))
+        if self.taken().giving_way >= MAX_GIVING_WAY {
+            yield_now().await;
+        }
+        let mut taken = self.taken();
+        if taken.giving_way >= MAX_GIVING_WAY {
+            return None;
+        }
+        let (_, (oldest, permit)) = taken.slots.pop_first()?;
+        taken.giving_way += 1;
+        let slot = self.take(&mut taken, permit);
+        drop(taken);
+        oldest.cancel();
+        Some(slot)
+    }
+
+    fn take(self: &Arc<Self>, taken: &mut Taken, permit: OwnedSemaphorePermit) -> UndecidedSlot {
+        let gives_way = CancellationToken::new();
+        let number = taken.next;
+        taken.next += 1;
+        taken.slots.insert(number, (gives_way.clone(), permit));
+        UndecidedSlot { number, gives_way, undecided: self.clone(), is_kept: false }
     }
 
     /// Locks the table. A poisoned lock is safe to use: a panic leaves no operation half done.
@@ -62,42 +82,40 @@ impl Undecided {
     }
 }
 
-/// A slot, held until it is dropped.
+/// A slot, held until it is dropped or given way.
 #[derive(Debug)]
 pub struct UndecidedSlot {
     number: u64,
     gives_way: CancellationToken,
     undecided: Arc<Undecided>,
-    _permit: OwnedSemaphorePermit,
+    is_kept: bool,
 }
 
 impl UndecidedSlot {
-    fn new(undecided: &Arc<Undecided>, permit: OwnedSemaphorePermit) -> Self {
-        let gives_way = CancellationToken::new();
-        let mut taken = undecided.taken();
-        let number = taken.next;
-        taken.next += 1;
-        taken.tokens.insert(number, gives_way.clone());
-        drop(taken);
-        Self { number, gives_way, undecided: undecided.clone(), _permit: permit }
-    }
-
-    /// Completes when a newer connection needs the slot.
+    /// Completes when a newer connection has got the slot.
     pub async fn gives_way(&self) {
         self.gives_way.cancelled().await;
+    }
+
+    /// Keeps the slot from newer connections; `None` if one has got it already.
+    pub fn keep(mut self) -> Option<OwnedSemaphorePermit> {
+        let kept = self.undecided.taken().slots.remove(&self.number);
+        self.is_kept = kept.is_some();
+        kept.map(|(_, permit)| permit)
     }
 }
 
 impl Drop for UndecidedSlot {
     fn drop(&mut self) {
-        self.undecided.taken().tokens.remove(&self.number);
+        let mut taken = self.undecided.taken();
+        if !self.is_kept && taken.slots.remove(&self.number).is_none() {
+            taken.giving_way -= 1;
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use std::pin::pin;
-
     use futures_util::FutureExt as _;
 
     use super::*;
@@ -108,20 +126,36 @@ mod tests {
         let oldest = undecided.newest().await.unwrap();
         let other = undecided.newest().await.unwrap();
         assert!(undecided.free().is_none());
-        let mut newest = pin!(undecided.newest());
-        assert!(newest.as_mut().now_or_never().is_none(), "the oldest still has its slot");
+        let newest = undecided.newest().await.unwrap();
         oldest.gives_way().await;
-        drop(oldest);
-        assert!(newest.await.is_some());
+        assert!(oldest.keep().is_none(), "its slot is that of the newest");
         assert!(other.gives_way().now_or_never().is_none());
+        drop((other, newest));
+        assert_eq!(undecided.available(), 2);
+        assert_eq!(undecided.taken().giving_way, 0);
     }
 
-    #[tokio::test(start_paused = true)]
-    async fn lasting_slot_does_not_give_way() {
-        let undecided = Undecided::new(1);
+    #[tokio::test]
+    async fn kept_slot_does_not_give_way() {
+        let undecided = Undecided::new(2);
         let lasting = undecided.lasting().unwrap();
+        let kept = undecided.newest().await.unwrap().keep().unwrap();
         assert!(undecided.newest().await.is_none());
+        drop(kept);
+        assert!(undecided.newest().await.is_some());
         drop(lasting);
+        assert_eq!(undecided.available(), 2);
+    }
+
+    #[tokio::test]
+    async fn few_connections_give_way_at_once() {
+        let undecided = Undecided::new(1);
+        let mut all = vec![undecided.newest().await.unwrap()];
+        for _ in 0..MAX_GIVING_WAY {
+            all.push(undecided.newest().await.unwrap());
+        }
+        assert!(undecided.newest().await.is_none());
+        all.remove(0);
         assert!(undecided.newest().await.is_some());
     }
 }

@@ -109,7 +109,7 @@ impl Server {
     async fn await_fast_stop(self: &Arc<Self>, stream: TcpStream, peer: SocketAddr) {
         let settings = self.context.settings.get();
         if settings.tls.is_some() {
-            if let Some(slot) = self.admission.reserved(false) {
+            if let Some(slot) = self.admission.reserved(false).or_else(|| self.admission.lasting()) {
                 tokio::spawn(self.clone().decrypt_in_crowd(settings, stream, peer, slot));
             }
         } else if let Some(slot) = accept::slot_in_crowd(&self.admission, &stream, FAST_STOP).await {
