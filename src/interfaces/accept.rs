@@ -41,6 +41,9 @@ pub const FIRST_BYTES: usize = 1024;
 /// Time for the first bytes of a connection that has found no room, and for the rest of a first line after its beginning.
 pub const FIRST_BYTES_WITHIN: Duration = Duration::from_millis(20);
 
+/// Time for the rest of a FAST STOP whose first bytes have arrived. It is short, since a FAST STOP waits for nothing else.
+pub const REST_WITHIN: Duration = Duration::from_millis(1);
+
 /// Listens on an address. The listener is not registered with a runtime.
 ///
 /// # Errors
@@ -125,7 +128,8 @@ pub async fn slot_in_crowd(admission: &Admission, stream: &TcpStream, rule: Fast
 }
 
 /// Waits a moment for the FAST STOP of a connection that has found no room. Returns the slot in which it is admitted, if it
-/// has brought one.
+/// has brought one. One whose rest is late needs a reserved slot: a flood of those would otherwise take the processor from
+/// whole ones.
 pub async fn fast_stop_in_crowd(
     admission: &Admission,
     stream: &TcpStream,
@@ -133,10 +137,18 @@ pub async fn fast_stop_in_crowd(
     rule: FastStopRule,
 ) -> Option<OwnedSemaphorePermit> {
     let mut first = [0; FIRST_BYTES];
+    let arrives = async {
+        let seen = timeout(FIRST_BYTES_WITHIN, stream.peek(&mut first)).await;
+        let seen = seen.map_or(0, Result::unwrap_or_default);
+        let is_whole = (rule.is_whole)(first.get(..seen).unwrap_or_default());
+        if !is_whole && matches!(slot, CrowdSlot::Undecided(_)) {
+            sleep(REST_WITHIN).await;
+        }
+    };
     tokio::select! {
         biased;
         () = slot.gives_way() => {}
-        _ = timeout(FIRST_BYTES_WITHIN, stream.peek(&mut first)) => {}
+        () = arrives => {}
     }
     // Bytes that arrived before it gave way still count.
     let seen = peek_now(stream, &mut first);
@@ -144,9 +156,11 @@ pub async fn fast_stop_in_crowd(
     if !(rule.may_begin)(first) {
         return None;
     }
+    let is_whole = (rule.is_whole)(first);
     match slot {
         CrowdSlot::Reserved(slot) => Some(slot),
-        CrowdSlot::Undecided(slot) => slot.keep().or_else(|| admission.reserved((rule.is_whole)(first))),
+        CrowdSlot::Undecided(slot) if is_whole => slot.keep().or_else(|| admission.reserved(true)),
+        CrowdSlot::Undecided(_) => admission.reserved(false),
     }
 }
 

@@ -80,7 +80,8 @@ const LEAVING: usize = 128;
 /// admitted.
 const RESERVED: usize = 64;
 /// Connections that were evicted before their first byte, or found no room, and may still bring a FAST STOP. The newest
-/// wins: enough that a flood of 10,000 connects a second leaves each of them 19 ms to send it.
+/// wins: enough that a flood of 10,000 connects a second leaves each of them 12 ms to send it. A third are those that have
+/// given way and not ended yet.
 const DISPLACED: usize = 192;
 
 /// Lease holders. A gripper has one; the others have lost theirs within the last second.

@@ -8,14 +8,12 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::task::yield_now;
 use tokio_util::sync::CancellationToken;
 
-/// Connections that have given way and have not ended yet. Each still has a descriptor, which is among those that the
-/// gateway keeps for itself.
-const MAX_GIVING_WAY: usize = 16;
-
 /// The slots of one listener.
 #[derive(Debug)]
 pub(super) struct Undecided {
     slots: Arc<Semaphore>,
+    /// Maximum number of connections that have given way and have not ended yet. Each still has a descriptor.
+    max_giving_way: usize,
     taken: Mutex<Taken>,
 }
 
@@ -28,8 +26,11 @@ struct Taken {
 }
 
 impl Undecided {
-    pub(super) fn new(slots: usize) -> Arc<Self> {
-        Arc::new(Self { slots: Arc::new(Semaphore::new(slots)), taken: Mutex::default() })
+    /// Shares descriptors between the slots and the connections that have given way.
+    pub(super) fn new(descriptors: usize) -> Arc<Self> {
+        let max_giving_way = descriptors / 3;
+        let slots = Arc::new(Semaphore::new(descriptors - max_giving_way));
+        Arc::new(Self { slots, max_giving_way, taken: Mutex::default() })
     }
 
     pub(super) fn available(&self) -> usize {
@@ -53,11 +54,11 @@ impl Undecided {
         if let Some(slot) = self.free() {
             return Some(slot);
         }
-        if self.taken().giving_way >= MAX_GIVING_WAY {
+        if self.taken().giving_way >= self.max_giving_way {
             yield_now().await;
         }
         let mut taken = self.taken();
-        if taken.giving_way >= MAX_GIVING_WAY {
+        if taken.giving_way >= self.max_giving_way {
             return None;
         }
         let (_, (oldest, permit)) = taken.slots.pop_first()?;
@@ -122,7 +123,7 @@ mod tests {
 
     #[tokio::test]
     async fn oldest_gives_way_to_the_newest() {
-        let undecided = Undecided::new(2);
+        let undecided = Undecided::new(3);
         let oldest = undecided.newest().await.unwrap();
         let other = undecided.newest().await.unwrap();
         assert!(undecided.free().is_none());
@@ -137,7 +138,7 @@ mod tests {
 
     #[tokio::test]
     async fn kept_slot_does_not_give_way() {
-        let undecided = Undecided::new(2);
+        let undecided = Undecided::new(3);
         let lasting = undecided.lasting().unwrap();
         let kept = undecided.newest().await.unwrap().keep().unwrap();
         assert!(undecided.newest().await.is_none());
@@ -148,13 +149,13 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn few_connections_give_way_at_once() {
-        let undecided = Undecided::new(1);
-        let mut all = vec![undecided.newest().await.unwrap()];
-        for _ in 0..MAX_GIVING_WAY {
+    async fn connections_that_give_way_are_bounded() {
+        let undecided = Undecided::new(9);
+        let mut all = Vec::new();
+        for _ in 0..9 {
             all.push(undecided.newest().await.unwrap());
         }
-        assert!(undecided.newest().await.is_none());
+        assert!(undecided.newest().await.is_none(), "three have given way and have not ended");
         all.remove(0);
         assert!(undecided.newest().await.is_some());
     }

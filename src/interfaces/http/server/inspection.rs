@@ -21,7 +21,7 @@ use super::super::handshakes::Handshakes;
 use super::super::redirect;
 use super::super::settings::HttpSettings;
 use crate::access::ClientCertificate;
-use crate::interfaces::accept::{FIRST_BYTES, FIRST_BYTES_WITHIN, peek_now};
+use crate::interfaces::accept::{FIRST_BYTES, FIRST_BYTES_WITHIN, REST_WITHIN, peek_now};
 use crate::interfaces::admission::ConnectionPermit;
 use crate::interfaces::client_stream::{ClientStream, EncryptedStream};
 use crate::interfaces::quick_ack::QuickAckStream;
@@ -31,9 +31,6 @@ use crate::interfaces::tls::holder;
 /// Unsent bytes that the kernel queues for a slow client: some dozens of updates.
 #[cfg(target_os = "linux")]
 const MAX_UNSENT_BYTES: u32 = 16 * 1024;
-
-/// Time for the rest of a FAST STOP whose first bytes have arrived. It is short, since a FAST STOP waits for nothing else.
-const REST_WITHIN: Duration = Duration::from_millis(1);
 
 /// Time after which a handshake's turn ends although it continues: a client that has gone silent needs no processor.
 const HANDSHAKE_TURN: Duration = Duration::from_millis(5);
