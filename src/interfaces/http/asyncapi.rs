@@ -7,7 +7,7 @@ use serde_json::{Map, Value, json};
 use utoipa::OpenApi as _;
 
 use super::context::API;
-use super::openapi_document::{bound_numbers, describe_in_place};
+use super::field_schemas::{bound_numbers, describe_in_place};
 use crate::events::Gap;
 use crate::interfaces::websocket::{MAX_ID_BYTES, SUBPROTOCOL, Subscribe, Subscribed};
 use crate::model::{CommandReport, DamageRecord, FrameRecord, State, Telemetry};

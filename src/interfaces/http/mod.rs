@@ -12,6 +12,7 @@ mod body;
 mod context;
 mod docs;
 mod fast_stop;
+mod field_schemas;
 mod flatten;
 mod fleet_lists;
 mod forward;
