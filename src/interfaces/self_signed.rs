@@ -172,7 +172,8 @@ mod tests {
     #[test]
     fn other_certificates_are_left_alone() {
         let foreign = rcgen::generate_simple_self_signed(["localhost".to_owned()]).unwrap();
-        let (pem, key) = (foreign.cert.pem(), foreign.signing_key.serialize_pem());
+        let pem = foreign.cert.pem();
+        let key = foreign.signing_key.serialize_pem();
         let long_after: Timestamp = "4095-12-31T00:00:00Z".parse().unwrap();
         assert_eq!(renewed(pem.as_bytes(), &key, long_after).unwrap(), None);
         assert_eq!(renewed(b"nonsense", &key, long_after).unwrap(), None);

@@ -132,7 +132,8 @@ fn current_versions_outlive_newer_ones_of_other_recipes() {
 #[test]
 fn time_of_a_version_always_has_milliseconds() {
     let changed_at = "2026-11-30T17:46:53.670Z";
-    let (at, recipe) = (changed_at.parse().unwrap(), recipe("A", 1, 20.0));
+    let at = changed_at.parse().unwrap();
+    let recipe = recipe("A", 1, 20.0);
     let version = RecipeVersion { version: 1, changed_at: at, changed_by: "mes".into(), removed: false, recipe };
     assert_eq!(serde_json::to_value(version).unwrap()["changed_at"], changed_at);
 }

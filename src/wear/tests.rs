@@ -108,7 +108,8 @@ fn first_thirty_grips_are_learned_without_a_warning() {
 
 #[test]
 fn spread_alone_raises_no_warning() {
-    let (mut worn, mut noise) = (Worn::with(DriftLimits { min_mm: 0.001, ..DriftLimits::default() }), noise());
+    let mut worn = Worn::with(DriftLimits { min_mm: 0.001, ..DriftLimits::default() });
+    let mut noise = noise();
     let mut warned = 0;
     for _ in 0..20_000 {
         worn.grip(20.0 + 0.05 * noise());

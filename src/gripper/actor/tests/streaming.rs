@@ -120,7 +120,8 @@ fn motion_of_another_client_ends_no_hold() {
     leased.try_recv().unwrap().unwrap();
     assert!(rig.target(&token).is_err());
     rig.pass_with_flags(100, SystemState::empty());
-    let (width, speed) = (Width::new(50.0).unwrap(), Speed::new(50.0).unwrap());
+    let width = Width::new(50.0).unwrap();
+    let speed = Speed::new(50.0).unwrap();
     rig.submit(Action::Motion(Motion::Release { width, speed }), &other).unwrap();
     assert!(rig.target(&token).is_err());
     for _ in 0..40 {
@@ -172,7 +173,8 @@ fn stream_that_was_stopped_may_begin_anew_with_a_motion() {
     rig.submit(Action::Stop, &token).unwrap();
     assert!(is_held_off(&rig.target(&token)));
     rig.pass_with_flags(100, SystemState::empty());
-    let (width, speed) = (Width::new(50.0).unwrap(), Speed::new(50.0).unwrap());
+    let width = Width::new(50.0).unwrap();
+    let speed = Speed::new(50.0).unwrap();
     rig.submit(Action::Motion(Motion::Release { width, speed }), &token).unwrap();
     rig.pass_with_flags(1000, SystemState::empty());
     rig.target(&token).unwrap();
