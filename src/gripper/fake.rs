@@ -12,7 +12,7 @@ use super::handle::{AcquiredLease, ActorRequest, FastStopRequest, Handle, Ticket
 use super::info::Info;
 use super::lease::{LeaseState, Terms};
 use model::clock;
-use model::error::{Invalid, Rejection};
+use model::error::{Conflict, Invalid, Rejection};
 use model::{
     CommandId, CommandReport, CustomIds, FastStopCause, FastStopId, LatchFields, LeaseRules, LeaseToken, Name, Outcome,
     Phase, Reason, RequestId, State, Submission, TakeLease,
@@ -165,6 +165,9 @@ impl Actor {
             ActorRequest::AcknowledgeFault { answer, .. } => {
                 let detail = "missing".to_owned();
                 let _ = answer.send(Err(Invalid::Malformed { field: "fast_stop_id", detail }.into()));
+            }
+            ActorRequest::Steer { answer, .. } => {
+                let _ = answer.send(Err(Conflict::NoServo { ended: None }.into()));
             }
             ActorRequest::Lease { answer } => {
                 let _ = answer.send(self.lease.view(clock::instant(), None));

@@ -14,7 +14,7 @@ use model::clock;
 use model::error::{Failure, Rejection};
 use model::{
     Action, Client, CommandId, CommandReport, CustomIds, FastStopCause, FastStopId, Fault, Lease, LeaseToken, Link,
-    LossCause, Name, Phase, Reason, RequestId, State, Submission, TakeLease, WireRecord,
+    LossCause, Name, Phase, Reason, RequestId, ServoReport, State, Steer, Submission, TakeLease, WireRecord,
 };
 
 /// Requests that can wait for the actor. The actor answers each within microseconds, so a full queue means that it
@@ -49,6 +49,7 @@ pub enum ActorRequest {
     LoseLease { token: LeaseToken, times_taken: Option<u64>, cause: LossCause },
     Disconnect { client: Client, lease: Option<LeaseToken>, answer: ResultSender<()> },
     Connect { client: Client, lease: Option<LeaseToken>, answer: ResultSender<()> },
+    Steer { request: Steer, client: Client, lease: Option<LeaseToken>, answer: ResultSender<ServoReport> },
     Drain { answer: oneshot::Sender<()> },
     Reconfigure { change: Box<Reconfiguration>, answer: oneshot::Sender<()> },
 }
@@ -297,6 +298,19 @@ impl Handle {
     ) -> Result<wsg::Data, Rejection> {
         self.try_request(|answer| ActorRequest::Exchange { command, client, lease, answer: (Some(accepted), answer) })
             .await?
+    }
+
+    /// Begins or ends a servo session, or gives it a target. Returns the session as it is then.
+    pub async fn steer(
+        &self,
+        request: Steer,
+        client: Client,
+        lease: Option<LeaseToken>,
+    ) -> Result<ServoReport, Rejection> {
+        if matches!(request, Steer::Stop) {
+            return self.request_reserved(|answer| ActorRequest::Steer { request, client, lease, answer }).await?;
+        }
+        self.try_request(|answer| ActorRequest::Steer { request, client, lease, answer }).await?
     }
 
     pub async fn lease(&self) -> Result<Lease, Failure> {

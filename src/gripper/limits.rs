@@ -2,8 +2,8 @@
 //! itself would clamp them, and so are targets that the soft limits forbid. Fingers outside the soft limits may move
 //! towards them. Until the device has reported its limits, the limits of the whole gripper family apply.
 
-use model::Motion;
 use model::error::Invalid;
+use model::{Motion, ServoAim, ServoTarget, ServoTerms};
 use wsg::{Acceleration, Command, Force, NotFinite, SoftLimits, Speed, SystemLimits, Width};
 
 /// Width beyond any gripper of the family; the speed, acceleration and force below likewise.
@@ -43,6 +43,23 @@ impl Limits {
                 self.check_speed(speed.mm_s())?;
                 force.map_or(Ok(()), |force| self.check_force(force))
             }
+        }
+    }
+
+    /// Checks the terms of a servo session.
+    pub(super) fn check_servo(&self, terms: &ServoTerms) -> Result<(), Invalid> {
+        in_range("max_speed_mm_s", terms.max_speed.mm_s(), self.speeds())?;
+        terms.force.map_or(Ok(()), |force| self.check_force(force))
+    }
+
+    /// Checks a target of a servo session, for fingers at `width`, if that is known.
+    pub(super) fn check_servo_target(&self, target: &ServoTarget, width: Option<f32>) -> Result<(), Invalid> {
+        if let Some(speed) = target.speed {
+            self.check_speed(speed.mm_s())?;
+        }
+        match &target.aim {
+            ServoAim::Width(aim) => self.check_target(*aim, width),
+            ServoAim::Widths(aims, _) => aims.iter().try_for_each(|aim| self.check_target(*aim, width)),
         }
     }
 

@@ -19,10 +19,15 @@ use tokio::sync::watch;
 
 use super::handle::Handle;
 use model::clock;
-use model::{FastStopCause, Kind, Link, Name, Outcome, State, Values};
+use model::{FastStopCause, Kind, Link, Name, Outcome, ServoEnd, State, Values};
 
 /// Largest number of series for one gripper.
-pub const MAX_SERIES: usize = 229;
+pub const MAX_SERIES: usize = 239;
+
+/// Results of a servo session's target. One that a newer one replaces counts twice: as accepted, and as superseded.
+pub(super) const SERVO_ACCEPTED: &str = "accepted";
+pub(super) const SERVO_SUPERSEDED: &str = "superseded";
+pub(super) const SERVO_REFUSED: &str = "refused";
 
 /// Buckets for latencies of replies and FAST STOPs, in seconds: from a local socket to a slow line or a lost link.
 const LATENCIES: [f64; 11] = [0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0];
@@ -52,6 +57,8 @@ pub struct GripperMetrics {
     pub(super) fast_stop_sent: Histogram,
     pub(super) fast_stop_confirmed: Histogram,
     pub(super) parts_lost: IntCounter,
+    pub(super) servo_targets: IntCounterVec,
+    pub(super) servo_sessions: IntCounterVec,
     _registration: Arc<Registration>,
 }
 
@@ -106,6 +113,16 @@ impl GripperMetrics {
             &["kind"],
         )?)?;
         let fast_stops = of.counters("wsg_fast_stops_total", "Latched FAST STOPs, by cause.", &["cause"])?;
+        let servo_targets =
+            of.counters("wsg_servo_targets_total", "Targets of servo sessions, by result.", &["result"])?;
+        for result in [SERVO_ACCEPTED, SERVO_SUPERSEDED, SERVO_REFUSED] {
+            servo_targets.with_label_values(&[result]);
+        }
+        let servo_sessions =
+            of.counters("wsg_servo_sessions_total", "Ended servo sessions, by the reason of their end.", &["reason"])?;
+        for reason in ServoEnd::VARIANTS {
+            servo_sessions.with_label_values(&[reason.name()]);
+        }
         // Series start at 0: Prometheus would not count the first value of a new series as an increase.
         for kind in Kind::VARIANTS {
             for outcome in Outcome::VARIANTS {
@@ -152,6 +169,8 @@ impl GripperMetrics {
                 "Time from the request of a FAST STOP until the device's flags show it.",
                 &LATENCIES,
             )?,
+            servo_targets,
+            servo_sessions,
             parts_lost: of.counter("wsg_parts_lost_total", "Held parts that were lost.")?,
             _registration: Arc::new(of.registration()),
         })

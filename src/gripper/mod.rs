@@ -23,6 +23,7 @@ mod observed;
 pub mod recorder;
 mod registry;
 mod request_ids;
+mod servo;
 mod setup;
 
 pub use connector::Connector;

@@ -104,6 +104,10 @@ codes! {
     Reserved 34 409;
     /// The body is compressed.
     UnsupportedEncoding 35 415;
+    /// No servo session of this client is open; `detail` says why the last one ended.
+    NoServo 36 409;
+    /// The target is older than the newest one, or too old.
+    StaleTarget 37 409;
 }
 
 impl Code {
@@ -157,6 +161,8 @@ mod tests {
             (33, "unknown_past"),
             (34, "reserved"),
             (35, "unsupported_encoding"),
+            (36, "no_servo"),
+            (37, "stale_target"),
         ];
         for pinned in pinned {
             assert!(numbers.contains(&pinned), "{pinned:?}");

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use wsg::Status;
 
-use crate::{Code, CommandId, FastStopId, Link};
+use crate::{Code, CommandId, FastStopId, Link, ServoEnd};
 
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Rejection {
@@ -120,6 +120,12 @@ pub enum Conflict {
          again 10 minutes after the restart"
     )]
     UnknownPast,
+    #[error("{by} steers the fingers in a servo session: wait, or end the session with a Stop")]
+    Steering { by: Arc<str> },
+    #[error("{}", no_servo(*ended))]
+    NoServo { ended: Option<ServoEnd> },
+    #[error("the target was not applied: {why}; send a newer one, with `at` by the gateway's clock")]
+    StaleTarget { why: &'static str },
 }
 
 impl Conflict {
@@ -129,7 +135,9 @@ impl Conflict {
             Self::StaleFastStop { .. } => Code::StaleFastStop,
             Self::FastStopUnconfirmed { .. } => Code::FastStopUnconfirmed,
             Self::NotReferenced => Code::NotReferenced,
-            Self::Acknowledging { .. } | Self::AlreadyRunning { .. } | Self::FingersMove => Code::AlreadyRunning,
+            Self::Acknowledging { .. } | Self::AlreadyRunning { .. } | Self::FingersMove | Self::Steering { .. } => {
+                Code::AlreadyRunning
+            }
             Self::SettingsLost { .. } => Code::DeviceRefused,
             Self::LeaseHeld { .. }
             | Self::LeaseBound { .. }
@@ -139,8 +147,18 @@ impl Conflict {
             Self::Reserved { .. } => Code::Reserved,
             Self::RequestIdReused => Code::RequestIdReused,
             Self::UnknownPast => Code::UnknownPast,
+            Self::NoServo { .. } => Code::NoServo,
+            Self::StaleTarget { .. } => Code::StaleTarget,
         }
     }
+}
+
+fn no_servo(ended: Option<ServoEnd>) -> String {
+    let reason = match ended {
+        None => "this client has none".to_owned(),
+        Some(ended) => format!("the last one ended because of `{}`", ended.name()),
+    };
+    format!("no servo session is open: {reason}; begin one with `servo.start`")
 }
 
 fn stale_lease(epoch: u64, holder: Option<&str>) -> String {

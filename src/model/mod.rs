@@ -29,6 +29,7 @@ mod recipe;
 mod record;
 mod report;
 mod rules;
+mod servo;
 mod state;
 mod status;
 mod text;
@@ -62,6 +63,7 @@ pub use recipe::{
 pub use record::{GripRecord, OnJournalFailure, PersistedKey, PersistedState, RequestedValues, Sample};
 pub use report::CommandReport;
 pub use rules::{GripperRules, SharedRules};
+pub use servo::{ServoAdapter, ServoAim, ServoEnd, ServoReport, ServoRules, ServoTarget, ServoTerms, Steer};
 pub use state::{FastStopCause, Latch, LatchFields, Link, State, Telemetry};
 pub use status::GripperStatus;
 pub use text::{FingerSetId, InvalidShownName, PartId, Reason, RequestId, ShownName, Text, without_byte_order_mark};

@@ -2,12 +2,11 @@
 
 use std::time::Duration;
 
-use super::{CustomIds, LeaseRules, OnJournalFailure, UpdateRules};
+use super::{CustomIds, LeaseRules, OnJournalFailure, ServoRules, UpdateRules};
 use settings::{between, flag, plain, settings, up_to, whole};
 
 settings! {
     /// Behaviour of a gripper.
-    #[derive(Eq)]
     pub struct GripperRules {
         /// State of the setting "FAST STOP on TCP disconnect" on the gripper's web page. The gateway cannot read it.
         pub fast_stop_on_disconnect: bool = "fast_stop_on_disconnect", flag(true), Reload;
@@ -15,6 +14,7 @@ settings! {
         pub motion_pause: Duration = "motion_pause_ms", whole(50, between(0..=1000, ""), Duration::from_millis), Reload;
         group updates: UpdateRules;
         group custom_ids: CustomIds;
+        group servo: ServoRules;
         group lease: LeaseRules;
         // Rules that the configuration has once for all grippers.
         also shared: SharedRules = SharedRules::default();

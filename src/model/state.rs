@@ -8,7 +8,7 @@ use strum::{EnumMessage, VariantArray};
 use utoipa::ToSchema;
 
 use super::values::{MeasuredFields, Values};
-use super::{CommandId, FastStopId, Fault, Name, Outcome, Reason};
+use super::{CommandId, FastStopId, Fault, Name, Outcome, Reason, ServoReport};
 use crate::Now;
 
 /// Connection state of the device link.
@@ -160,6 +160,10 @@ pub struct State {
     #[serde(skip)]
     #[schema(ignore)]
     pub last_command_id: Option<CommandId>,
+    /// The servo session that is open, or the last one; `None` before the first since the gateway started.
+    #[serde(skip)]
+    #[schema(ignore)]
+    pub servo: Option<Arc<ServoReport>>,
 }
 
 impl State {
@@ -186,6 +190,7 @@ impl State {
             last_command: 0,
             last_outcome: None,
             last_command_id: None,
+            servo: None,
         }
     }
 }
@@ -225,6 +230,10 @@ pub struct Telemetry {
     pub state: Option<&'static str>,
     /// All 32 system state flags as a number; null while unknown.
     pub flags_raw: Option<u32>,
+    /// The servo session; absent unless one is open.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    pub servo: Option<Arc<ServoReport>>,
 }
 
 impl State {
@@ -242,6 +251,7 @@ impl State {
             force_n: values.force_n(now.instant),
             state: values.state_name(now.instant),
             flags_raw: values.flags(now.instant).map(|flags| flags.bits()),
+            servo: self.servo.clone().filter(|servo| servo.open),
         }
     }
 }

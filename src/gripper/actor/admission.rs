@@ -10,7 +10,8 @@ use super::reads::is_slow_getter;
 use super::running::Running;
 use model::error::{Conflict, Failure, Invalid, Rejection};
 use model::{
-    Action, Client, CommandId, CommandReport, FastStopId, LeaseToken, Motion, Outcome, SettingChange, Submission,
+    Action, Client, CommandId, CommandReport, FastStopId, LeaseToken, Motion, Outcome, ServoEnd, SettingChange,
+    Submission,
 };
 use wsg::session::{End, Token};
 use wsg::{Command, Data, Reply, SystemState, id};
@@ -77,6 +78,7 @@ impl Actor {
             return Ok(ticket.clone());
         }
         self.streaming.stopped(now.instant);
+        self.end_servo(now, ServoEnd::Stop);
         // An unwritten script would move the fingers after the Stop.
         self.withdraw_scripts(&Failure::StoppedFirst { command: "the custom command" }.into(), |_| true);
         let without_id;
@@ -129,6 +131,7 @@ impl Actor {
     /// Checks that a motion may start now.
     fn check_moving(&self) -> Result<(), Conflict> {
         self.check_stopped()?;
+        self.servo.check()?;
         self.motion.check()
     }
 
@@ -240,6 +243,7 @@ impl Actor {
             Command::Custom(_) if self.is_script(command) && client.door.speaks_wsg() => {
                 self.check_flags(now)?;
                 self.check_stopped()?;
+                self.servo.check()?;
                 Ok(self.recording.check()?)
             }
             Command::Custom(_) if self.is_script(command) => {

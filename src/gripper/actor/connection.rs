@@ -8,7 +8,7 @@ use super::link::{OwnStop, Purpose};
 use super::running::Running;
 use super::{Actor, REPLY_WITHIN};
 use model::error::{Failure, Rejection};
-use model::{DeviceEvent, Link, Outcome};
+use model::{DeviceEvent, Link, Outcome, ServoEnd};
 use wsg::{Command, SystemState};
 
 impl Actor {
@@ -35,6 +35,7 @@ impl Actor {
 
     /// Takes the loss of the link, or a failed attempt to connect.
     pub fn link_down(&mut self, now: Now, cause: &str) {
+        self.stop_servo(now, ServoEnd::Link);
         let token = self.motion.running.as_ref().and_then(Running::token);
         let unwritten = token.is_some_and(|token| self.link.withdraw(token));
         let _ = self.metering.session(self.link.session.as_mut());

@@ -12,7 +12,7 @@ use super::super::handle::ResultSender;
 use super::Actor;
 use super::link::{Close, OwnStop, Purpose};
 use model::error::{Conflict, Failure, Rejection};
-use model::{Client, LeaseToken};
+use model::{Client, LeaseToken, ServoEnd};
 use wsg::{Command, SystemState};
 
 /// Time limit for the device to stop, and again for its reply to the announcement.
@@ -92,6 +92,7 @@ impl Actor {
 
     fn begin_drain(&mut self, now: Now, ending: Ending) {
         tracing::info!(gripper = %self.config.name, "draining");
+        self.stop_servo(now, ServoEnd::Link);
         let until = now.instant + self.config.rules.shared.drain;
         self.drain = Some(Drain { stage: Stage::Finishing, until, has_announced: false, has_stopped: false, ending });
     }

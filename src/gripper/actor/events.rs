@@ -56,6 +56,7 @@ impl Actor {
                 Purpose::FastStop
                 | Purpose::Acknowledge
                 | Purpose::Force(..)
+                | Purpose::ServoForce(_)
                 | Purpose::Motion(_)
                 | Purpose::Stop(_)
                 | Purpose::OwnStop(_),
@@ -76,6 +77,9 @@ impl Actor {
             return;
         }
         let missed = matches!(data, Data::SystemState(_)) && self.observed.were_missed(now.instant);
+        if let Data::Width(width) = data {
+            self.servo.moved(self.observed.values.width_mm(now.instant), *width);
+        }
         self.observed.take(now.instant, data);
         let flags = match *data {
             Data::SystemState(flags) => flags,
@@ -256,6 +260,7 @@ impl Actor {
                 self.read_awaited_flags(now);
             }
             Purpose::Force(id, force) => self.force_ended(now, id, force, end),
+            Purpose::ServoForce(force) => self.servo_force_ended(now, force, &end),
             Purpose::Motion(id) => self.motion_ended(now, id, end),
             Purpose::Stop(id) => self.stop_ended(now, id, end),
             Purpose::OwnStop(stop) => self.own_stop_ended(now, stop, &end),

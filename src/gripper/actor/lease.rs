@@ -10,7 +10,7 @@ use super::link::OwnStop;
 use model::error::{Conflict, Failure, Rejection};
 use model::{
     Client, FastStopCause, Lease, LeaseEvent, LeaseStep, LeaseToken, Link, LossCause, LossEffect, OnLossHolding,
-    OnLossMoving, Reason, TakeLease,
+    OnLossMoving, Reason, ServoEnd, TakeLease,
 };
 use wsg::SystemState;
 
@@ -85,6 +85,7 @@ impl Actor {
             AcquireOutcome::HandedOver | AcquireOutcome::Again => {}
         }
         self.withdraw_stale_scripts();
+        self.end_servo_without_lease(now);
         if !matches!(outcome, AcquireOutcome::Again) && !self.has_motion_of(&wish.client) {
             // A motion that has not started would start under another client's lease.
             self.withdraw_waiting_motion(now);
@@ -119,6 +120,7 @@ impl Actor {
         // A running motion continues. A motion that has not started would start under another client's lease.
         self.withdraw_waiting_motion(now);
         self.withdraw_stale_scripts();
+        self.end_servo_without_lease(now);
         Ok(self.lease_now(now))
     }
 
@@ -128,6 +130,7 @@ impl Actor {
             self.record_lease(now, LeaseStep::Released, &held.holder, None);
             self.stop_motion(now, None);
             self.withdraw_stale_scripts();
+            self.end_servo_without_lease(now);
         }
         self.script_client_left(now, token);
         self.lease_now(now)
@@ -196,6 +199,7 @@ impl Actor {
             LossEffect::None => {}
         }
         self.streaming.stopped(now.instant);
+        self.stop_servo(now, ServoEnd::Lease);
     }
 
     /// Latches a FAST STOP because this holder was lost.
@@ -211,10 +215,11 @@ impl Actor {
         self.latch(now, request);
     }
 
-    /// Whether the fingers are known to move or to be about to, a stream was active at `at`, or a motion whose result
-    /// is unknown may still be running.
+    /// Whether the fingers are known to move or to be about to, a stream was active at `at`, a servo session is open, or a
+    /// motion whose result is unknown may still be running.
     pub(super) fn is_moving(&self, at: Instant) -> bool {
-        self.motion.mover(at).is_some() || self.observed.has(SystemState::MOVING) || self.is_streaming(at)
+        let is_known = self.motion.mover(at).is_some() || self.observed.has(SystemState::MOVING);
+        is_known || self.is_streaming(at) || self.is_steered()
     }
 
     /// Withdraws a waiting motion, and sends a Stop if the fingers move.

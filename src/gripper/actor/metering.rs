@@ -4,8 +4,8 @@ use std::time::{Duration, Instant};
 
 use prometheus::IntCounter;
 
-use super::super::metrics::GripperMetrics;
-use model::{CommandReport, FastStopCause, FastStopStep, Kind, Outcome};
+use super::super::metrics::{GripperMetrics, SERVO_ACCEPTED, SERVO_REFUSED, SERVO_SUPERSEDED};
+use model::{CommandReport, FastStopCause, FastStopStep, Kind, Outcome, ServoReport};
 use wsg::DecoderCounters;
 use wsg::session::{Counters, Session};
 
@@ -81,6 +81,19 @@ impl Metering {
             (command.duration_ms, command.kind == Kind::Stop || outcome == Outcome::Refused)
         {
             self.metrics.motions.with_label_values(&[kind]).observe(duration_ms as f64 / 1000.0);
+        }
+    }
+
+    /// Counts a target of a servo session.
+    pub(super) fn servo_target(&self, is_accepted: bool) {
+        let result = if is_accepted { SERVO_ACCEPTED } else { SERVO_REFUSED };
+        self.metrics.servo_targets.with_label_values(&[result]).inc();
+    }
+
+    pub(super) fn servo_ended(&self, report: &ServoReport) {
+        self.metrics.servo_targets.with_label_values(&[SERVO_SUPERSEDED]).inc_by(report.superseded);
+        if let Some(reason) = report.ended {
+            self.metrics.servo_sessions.with_label_values(&[reason.name()]).inc();
         }
     }
 

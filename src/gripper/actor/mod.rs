@@ -44,6 +44,7 @@ mod repeats;
 mod running;
 mod scripts;
 mod settings;
+mod steering;
 mod streaming;
 mod tag;
 mod timers;
@@ -77,6 +78,7 @@ use recording::Recording;
 use running::MotionState;
 use scripts::Scripts;
 use settings::Settings;
+use steering::Steering;
 use streaming::Streaming;
 use transport::LinkProperties;
 use unconfirmed::Unconfirmed;
@@ -118,6 +120,7 @@ pub struct Actor {
     recording: Recording,
     metering: Metering,
     streaming: Streaming,
+    servo: Steering,
     scripts: Scripts,
     pacing: Pacing,
     unconfirmed: Unconfirmed,
@@ -164,6 +167,7 @@ impl Actor {
             ),
             metering: Metering::new(config.metrics.clone()),
             streaming: Streaming::default(),
+            servo: Steering::default(),
             scripts: Scripts::default(),
             pacing: Pacing::default(),
             unconfirmed: Unconfirmed::default(),
@@ -264,6 +268,9 @@ impl Actor {
                 self.disconnect(now, &client, lease.as_ref(), answer);
             }
             ActorRequest::Connect { client, lease, answer } => self.connect(now, &client, lease.as_ref(), answer),
+            ActorRequest::Steer { request, client, lease, answer } => {
+                self.steer(now, request, &client, lease.as_ref(), answer);
+            }
             ActorRequest::Drain { answer } => self.start_drain(now, answer),
             ActorRequest::Reconfigure { change, answer } => self.reconfigure(now, change, answer),
         }

@@ -11,7 +11,7 @@ use super::link::{NotSubmitted, OwnStop, Purpose};
 use super::running::{Running, Settling, Stage, outcome_of, result_within};
 use super::{Actor, REPLY_WITHIN};
 use model::error::{Conflict, DeviceRefusal, Failure, MotionError, Rejection};
-use model::{AcceptedWidths, Client, CommandId, CommandReport, Kind, Motion, Outcome};
+use model::{AcceptedWidths, Client, CommandId, CommandReport, Kind, Motion, Outcome, ServoEnd};
 use wsg::session::End;
 use wsg::{Command, Data, Force, GripperState, Reply, Status, SystemState, Width};
 
@@ -293,6 +293,7 @@ impl Actor {
             self.withdraw_scripts(&Conflict::FastStop { id }.into(), |_| true);
         }
         self.streaming.stopped(now.instant);
+        self.end_servo(now, ServoEnd::FastStop);
         if let Some(running) = &mut self.motion.running {
             running.fast_stop = self.latch.id();
             self.withdraw_waiting_motion(now);
@@ -320,6 +321,7 @@ impl Actor {
         }
         if self.commands.is_streamed(id) {
             self.streaming.stopped(now.instant);
+            self.end_servo(now, ServoEnd::Stop);
         }
         self.withdraw_waiting_motion(now);
         if self.motion.running.is_some() {
@@ -442,7 +444,7 @@ impl Actor {
             self.metering.ended(&record);
             if self.commands.is_streamed(id) {
                 self.streaming.answered(now.instant);
-                return;
+                return self.servo_target_ended(now, id, record.outcome);
             }
             self.recording.done(now, &client, &record);
             if record.outcome.is_some_and(Outcome::holds_part) {

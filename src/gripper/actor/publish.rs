@@ -135,6 +135,7 @@ impl Actor {
             last_command: last.number(),
             last_outcome: last.outcome(),
             last_command_id: last.id(),
+            servo: self.servo.report(),
         }
     }
 

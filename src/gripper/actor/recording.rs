@@ -191,6 +191,11 @@ impl Recording {
         self.record(event);
     }
 
+    pub(super) fn servo(&mut self, now: Now, event: DeviceEvent, client: &Client) {
+        let event = self.event(now, Detail::Device(event)).by(client);
+        self.record(event);
+    }
+
     pub(super) fn stream_silent(&mut self, now: Now, raw_id: u8) {
         let event = self.event(now, Detail::Device(DeviceEvent::StreamSilent { raw_id }));
         self.record(event);

@@ -91,8 +91,16 @@ impl Streaming {
         }
     }
 
-    fn watch_ended(&mut self) {
+    /// Ends the watch over fingers that nobody steers.
+    pub(super) fn watch_ended(&mut self) {
         (self.silent_since, self.looks_at, self.stops) = (None, None, 0);
+    }
+
+    /// Stops the fingers again if they do not stop, or show late that they move, after a servo session has ended.
+    pub(super) fn watch_end_of_servo(&mut self, last_target_at: Instant, ended_at: Instant) {
+        self.silent_since = Some(last_target_at);
+        self.looks_at = Some(ended_at + STOPPED_AGAIN_AFTER);
+        self.stops = 1;
     }
 
     /// Refuses a request of a stream that is held off.
@@ -151,7 +159,8 @@ impl Actor {
     pub(super) fn stream_silent_at(&self) -> Option<Instant> {
         let since = self.streaming.silent_since.filter(|_| !self.motion.is_under_way() && self.link.is_up())?;
         let timeout = self.config.rules.custom_ids.stream_timeout;
-        (!timeout.is_zero()).then(|| self.streaming.looks_at.unwrap_or(since + timeout))
+        let is_watched = !timeout.is_zero() || self.streaming.stops > 0;
+        is_watched.then(|| self.streaming.looks_at.unwrap_or(since + timeout))
     }
 
     /// Stops moving fingers whose stream is silent, and again if they do not stop.

@@ -30,7 +30,7 @@ const fn always(deadline: fn(&Actor) -> Option<Instant>, run: fn(&mut Actor, Now
 }
 
 /// All timers, in the order in which their work is done.
-const TIMERS: [Timer; 19] = [
+const TIMERS: [Timer; 21] = [
     always(|actor| actor.observed.values.ends_at(), Actor::expire_values),
     always(Actor::silence_at, Actor::supervise),
     always(Actor::fast_stop_at, Actor::send_fast_stop_if_due),
@@ -47,6 +47,8 @@ const TIMERS: [Timer; 19] = [
     due(|actor| actor.recording.flicker.next_timeout(), |actor, now| actor.recording.record_flicker(now)),
     due(|actor| actor.streaming.next_timeout(), |actor, now| actor.streaming.write(now, &mut actor.recording)),
     due(Actor::stream_silent_at, Actor::stop_silent_stream),
+    due(Actor::servo_silent_at, Actor::end_silent_servo),
+    always(Actor::servo_sends_at, Actor::send_servo_target),
     due(|actor| actor.settings.overdrive.next_timeout(), |actor, now| actor.settings.overdrive.expire(now.instant)),
     always(|actor| actor.drain.as_ref()?.next_timeout(), Actor::continue_drain),
     due(Actor::updates_missed_at, Actor::renew_updates),

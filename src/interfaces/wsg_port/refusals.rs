@@ -93,7 +93,10 @@ fn remedy(id: u8, rejection: &Rejection) -> &'static str {
             Conflict::AlreadyRunning { .. }
             | Conflict::FingersMove
             | Conflict::RequestIdReused
-            | Conflict::UnknownPast => "wait for the end of the motion, or send a Stop (22h) first",
+            | Conflict::UnknownPast
+            | Conflict::Steering { .. }
+            | Conflict::NoServo { .. }
+            | Conflict::StaleTarget { .. } => "wait for the end of the motion, or send a Stop (22h) first",
         },
         Rejection::Device(_) => "look up the gripper's status in its manual",
         Rejection::Failure(_) => "remove the cause, and repeat the request",

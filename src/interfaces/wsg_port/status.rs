@@ -37,13 +37,16 @@ fn status_of(rejection: &Rejection) -> Status {
             | Conflict::LeaseTokenMissing { .. }
             | Conflict::LeaseRequested { .. }
             | Conflict::StaleLease { .. } => Status::E_ACCESS_DENIED,
-            Conflict::AlreadyRunning { .. } | Conflict::FingersMove | Conflict::Acknowledging { .. } => {
-                Status::E_ALREADY_RUNNING
-            }
+            Conflict::AlreadyRunning { .. }
+            | Conflict::FingersMove
+            | Conflict::Acknowledging { .. }
+            | Conflict::Steering { .. } => Status::E_ALREADY_RUNNING,
             Conflict::NotReferenced | Conflict::SettingsLost { .. } => Status::E_NOT_INITIALIZED,
-            Conflict::FastStopPersists { .. } | Conflict::RequestIdReused | Conflict::UnknownPast => {
-                Status::E_CMD_FAILED
-            }
+            Conflict::FastStopPersists { .. }
+            | Conflict::RequestIdReused
+            | Conflict::UnknownPast
+            | Conflict::NoServo { .. }
+            | Conflict::StaleTarget { .. } => Status::E_CMD_FAILED,
         },
         Rejection::Device(DeviceRefusal { status, .. }) => *status,
         Rejection::Failure(failure) => match failure {

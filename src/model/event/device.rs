@@ -3,7 +3,7 @@
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::super::Link;
+use super::super::{Link, ServoAdapter, ServoEnd};
 
 /// Change of the link's connection state.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
@@ -62,6 +62,37 @@ pub enum DeviceEvent {
     StreamSilent {
         /// Id of the custom command.
         raw_id: u8,
+    },
+    /// A client began to steer the fingers in a servo session.
+    ServoStarted {
+        /// Way in which targets reach the fingers.
+        adapter: ServoAdapter,
+        /// Silence after which the session ends with a Stop, in ms.
+        timeout_ms: u64,
+        /// Greatest speed of a target in mm/s.
+        max_speed_mm_s: f32,
+        /// Force limit that the session sets in N; null if it sets none.
+        #[schema(required)]
+        force_n: Option<f32>,
+    },
+    /// A servo session ended.
+    ServoEnded {
+        /// Way in which targets reached the fingers.
+        adapter: ServoAdapter,
+        /// Reason for the end.
+        reason: ServoEnd,
+        /// Duration of the session in ms.
+        duration_ms: u64,
+        /// Number of accepted targets.
+        accepted: u64,
+        /// Number of accepted targets that a newer one has replaced before they were sent.
+        superseded: u64,
+        /// Number of refused targets.
+        refused: u64,
+        /// Longest time between two accepted targets, in ms.
+        longest_gap_ms: u64,
+        /// Way that the fingers have travelled, in mm.
+        travel_mm: f64,
     },
     /// Values became unknown, because the device does not send them, or sends an error or an impossible number.
     ValuesUnknown {

@@ -272,7 +272,10 @@ impl Problem {
             | Conflict::FingersMove
             | Conflict::SettingsLost { .. }
             | Conflict::RequestIdReused
-            | Conflict::UnknownPast => self,
+            | Conflict::UnknownPast
+            | Conflict::Steering { .. }
+            | Conflict::NoServo { .. } => self,
+            Conflict::StaleTarget { .. } => self.field("at"),
         }
     }
 

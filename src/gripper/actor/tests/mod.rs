@@ -17,6 +17,7 @@ mod flicker;
 mod link;
 mod motion;
 mod reconfiguration;
+mod steering;
 mod streaming;
 
 pub(crate) const TCP: LinkProperties = LinkProperties {
