@@ -48,6 +48,7 @@ mod reply;
 mod requested_recipe;
 mod rights;
 mod run;
+pub(crate) mod servo;
 pub(crate) mod settings;
 pub(crate) mod statistics;
 mod table;

@@ -8,13 +8,14 @@ use super::problem::Problem;
 use super::values::shortened;
 use super::{
     alarms, clock, commands, connection, copy_recipes, device, fast_stop, finger_set, fingers, fleet, grippers, lease,
-    me, motion, raw, recipes, reload, settings, statistics, teach, webhooks,
+    me, motion, raw, recipes, reload, servo, settings, statistics, teach, webhooks,
 };
 use crate::model::Urgency;
 
 /// The operations of all modules. If several share a name, the first whose path parameters are all given is chosen.
 const MODULES: &[&[Operation]] = &[
     motion::OPERATIONS,
+    servo::OPERATIONS,
     fast_stop::OPERATIONS,
     lease::OPERATIONS,
     commands::OPERATIONS,
@@ -130,7 +131,16 @@ mod tests {
     #[test]
     fn stops_and_lease_renewals_are_urgent() {
         let urgent: Vec<_> = all().filter(|operation| operation.urgency != Urgency::None).map(|one| one.name).collect();
-        let expected = ["stop", "fast-stop", "fast-stop", "lease.renew", "lease.release", "cancel", "fleet.fast-stop"];
+        let expected = [
+            "stop",
+            "servo.stop",
+            "fast-stop",
+            "fast-stop",
+            "lease.renew",
+            "lease.release",
+            "cancel",
+            "fleet.fast-stop",
+        ];
         assert_eq!(urgent, expected);
     }
 }

@@ -43,6 +43,7 @@ pub const ASYNCAPI: &str = include_str!("../../../openapi/asyncapi.yaml");
     tags(
         (name = "grippers", description = "Grippers and their states, served without querying the device"),
         (name = "motion", description = "Move the fingers, and stop them"),
+        (name = "servo", description = "Steer the fingers by targets many times a second"),
         (name = "fast stop", description = "A stop that blocks all motion until it is acknowledged by its id"),
         (name = "commands", description = "Progress and outcome of commands"),
         (name = "lease", description = "The right to move a gripper, and the reaction if the lease holder is lost"),
