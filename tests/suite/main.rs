@@ -36,6 +36,7 @@ mod recipes;
 mod recordings;
 mod reload;
 mod replay;
+mod servo;
 mod shutdown;
 mod slow_line;
 mod systemd;

@@ -25,6 +25,7 @@ mod open;
 mod payloads;
 mod publications;
 mod queries;
+mod servo;
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -41,6 +42,7 @@ use self::fast_stop::FastStops;
 use self::open::OpenSession;
 use self::publications::Publications;
 use self::queries::Queries;
+use self::servo::ServoTargets;
 use crate::fleet::keys::ZenohKeys;
 use crate::interfaces::Context;
 
@@ -101,6 +103,7 @@ struct Declarations {
 struct GripperDeclarations {
     handle: crate::gripper::Handle,
     _queryables: [Queryable<()>; 3],
+    _targets: ServoTargets,
     _publishing: AbortOnDropHandle<()>,
 }
 
@@ -125,10 +128,17 @@ impl Declarations {
                 continue;
             }
             let queryables = self.queries.declare_gripper(session, handle.name()).await?;
+            let targets =
+                ServoTargets::declare(session, &self.keys, &context.gateway, &context.metrics, handle.name()).await?;
             let publications = Publications::declare(session, &self.keys, &handle).await?;
             let publishing = context.runtimes.publications.spawn(publications.run(context.clone(), self.max_hz));
             let publishing = AbortOnDropHandle::new(publishing);
-            self.grippers.push(GripperDeclarations { handle, _queryables: queryables, _publishing: publishing });
+            self.grippers.push(GripperDeclarations {
+                handle,
+                _queryables: queryables,
+                _targets: targets,
+                _publishing: publishing,
+            });
         }
         Ok(())
     }

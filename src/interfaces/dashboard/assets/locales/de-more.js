@@ -318,6 +318,8 @@ export const moreDe = {
   'event.restored': 'Journal zurückgespielt oder Einträge gelöscht: {cause}',
   'event.flickering': 'viele Änderungen in kurzer Zeit: {count} ausgelassen',
   'event.stream_silent': 'angehalten, weil der Client, der ihn lenkte, nichts mehr sandte',
+  'event.servo_started': 'ein Client lenkt die Finger ({adapter})',
+  'event.servo_ended': 'Lenken beendet ({reason}): {accepted} Ziele, {refused} abgelehnt',
   'event.streamed': '{count} Anfragen an ein Skript des Greifers',
   'event.setting_changed': '{setting} auf {value} geändert',
   'event.setting_restored': '{setting} wieder auf {value} gestellt',

@@ -317,6 +317,8 @@ export const moreEn = {
   'event.restored': 'journal restored, or records deleted: {cause}',
   'event.flickering': 'many changes in a short time: {count} left out',
   'event.stream_silent': 'stopped, because the client that steered it fell silent',
+  'event.servo_started': 'a client steers the fingers ({adapter})',
+  'event.servo_ended': 'steering has ended ({reason}): {accepted} targets, {refused} refused',
   'event.streamed': '{count} requests to a script of the gripper',
   'event.setting_changed': '{setting} changed to {value}',
   'event.setting_restored': '{setting} restored to {value}',
