@@ -6,9 +6,9 @@ use anyhow::anyhow;
 
 use crate::access::{AccessRules, Guard, TokenFile, TokenFileError};
 use crate::config::{self, AccessConfig, Config, ConfigError};
+use crate::connections::tls::{Tls, TlsError};
 use crate::interfaces::dashboard::DashboardPolicy;
 use crate::interfaces::http::HttpSettings;
-use crate::interfaces::tls::{Tls, TlsError};
 
 /// Returns the settings of HTTP for a listener on this port. Keeps the certificate in use if its files are the same.
 pub(super) fn of_http(config: &Config, port: u16, before: Option<Arc<Tls>>) -> anyhow::Result<HttpSettings> {

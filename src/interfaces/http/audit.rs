@@ -8,7 +8,7 @@ use super::asked::Asked;
 use super::context::{API, HttpContext};
 use super::problem::RefusedMark;
 use super::visitor::client;
-use crate::interfaces::metrics::NO_ROUTE;
+use crate::connections::metrics::NO_ROUTE;
 use crate::model::Name;
 use crate::operations::audit::RefusedRequest;
 use crate::operations::journal_command;

@@ -10,7 +10,7 @@ use axum::http::header::{CONTENT_ENCODING, CONTENT_LENGTH, EXPECT};
 use http_body_util::{BodyExt, LengthLimitError, Limited};
 use tokio::time::timeout;
 
-use crate::interfaces::admission::{ConnectionPermit, HeldBytes};
+use crate::connections::admission::{ConnectionPermit, HeldBytes};
 use crate::operations::json::{MAX_BODY_BYTES, MAX_OVERSIZED_BYTES};
 use crate::operations::{Code, Problem};
 

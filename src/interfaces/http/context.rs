@@ -7,8 +7,9 @@ use tokio_util::sync::CancellationToken;
 
 use super::refused_sockets::RefusedSockets;
 use super::settings::SharedSettings;
-use crate::interfaces::metrics::InterfaceMetrics;
-use crate::interfaces::{self, Runtimes};
+use crate::connections::Runtimes;
+use crate::connections::metrics::InterfaceMetrics;
+use crate::interfaces;
 use crate::operations::Gateway;
 
 pub const API: &str = "/api/v1";

@@ -14,7 +14,7 @@ use http_body_util::{BodyExt, Limited};
 use tokio::time::timeout;
 
 use super::body;
-use crate::interfaces::admission::{Class, ConnectionPermit};
+use crate::connections::admission::{Class, ConnectionPermit};
 use crate::operations::json::MAX_BODY_BYTES;
 
 /// Time that a FAST STOP waits for its reason. Header and body usually arrive in one packet or in two directly after

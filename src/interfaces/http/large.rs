@@ -15,7 +15,7 @@ use http_body_util::BodyExt as _;
 use tokio::sync::Semaphore;
 use tokio::time::timeout;
 
-use crate::interfaces::admission::ConnectionPermit;
+use crate::connections::admission::ConnectionPermit;
 use crate::operations::{Code, Problem};
 
 /// Size from which a response is counted. Smaller ones fit the buffers that every connection has.

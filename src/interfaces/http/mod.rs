@@ -19,7 +19,6 @@ mod forward;
 mod gateway;
 mod guard;
 mod guide;
-mod handshakes;
 mod journal;
 mod large;
 mod meanings;

@@ -5,8 +5,8 @@ use std::sync::{Arc, PoisonError, RwLock};
 use axum::http::HeaderValue;
 
 use super::WebSettings;
+use crate::connections::tls::Tls;
 use crate::interfaces::dashboard::DashboardPolicy;
-use crate::interfaces::tls::Tls;
 
 /// Default port of the listener.
 pub const DEFAULT_PORT: u16 = 8080;

@@ -12,8 +12,8 @@ use tokio::time::timeout;
 
 use super::asked::Asked;
 use super::body::{HeldBody, check_announced, check_encoding, read};
-use crate::interfaces::admission::{Class, ConnectionPermit};
-use crate::interfaces::pace::RequestPace;
+use crate::connections::admission::{Class, ConnectionPermit};
+use crate::connections::pace::RequestPace;
 use crate::model::Urgency;
 use crate::operations::{Code, Problem};
 

@@ -6,9 +6,9 @@ use std::time::Duration;
 use axum::http::Extensions;
 use futures_util::future::{BoxFuture, FutureExt as _};
 
+use crate::connections::admission::{Class, ConnectionPermit};
+use crate::connections::pace::RequestPace;
 use crate::gripper::Ticket;
-use crate::interfaces::admission::{Class, ConnectionPermit};
-use crate::interfaces::pace::RequestPace;
 use crate::model::CommandReport;
 use crate::operations::WaitLimiter;
 

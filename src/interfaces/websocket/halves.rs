@@ -14,8 +14,8 @@ use tokio::runtime::Handle;
 use tokio_util::either::Either;
 
 use super::outbox::Outbox;
-use crate::interfaces::admission::HeldBytes;
-use crate::interfaces::client_stream::{ClientStream, EncryptedStream};
+use crate::connections::admission::HeldBytes;
+use crate::connections::client_stream::{ClientStream, EncryptedStream};
 
 /// The half for reading.
 pub type ReadingHalf = Either<TcpStream, streams::ReadHalf<Box<EncryptedStream>>>;

@@ -11,8 +11,8 @@ use tokio::io::AsyncWriteExt as _;
 use super::bodies::Following;
 use super::halves::WritingHalf;
 use super::outbox::{Item, Outbox};
+use crate::connections::metrics::InterfaceMetrics;
 use crate::events::{Notification, Pace, Subscription};
-use crate::interfaces::metrics::InterfaceMetrics;
 
 /// Maximum number of frames in one write.
 const MAX_GATHERED: usize = 64;

@@ -27,7 +27,7 @@ use tokio_tungstenite::client_async;
 use tokio_tungstenite::tungstenite::Message;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest as _;
 use tokio_util::task::AbortOnDropHandle;
-use wsg_gateway::interfaces::self_signed::SelfSigned;
+use wsg_gateway::connections::self_signed::SelfSigned;
 
 use crate::harness::{Directory, Process, eventually, run};
 

@@ -26,7 +26,6 @@ use tower::ServiceExt;
 
 use super::super::asked::OperationPaths;
 use super::super::context::HttpContext;
-use super::super::handshakes::Handshakes;
 use super::super::operation::Compact;
 use super::super::runtime_mover::RuntimeMover;
 use super::super::settings::HttpSettings;
@@ -34,10 +33,11 @@ use super::super::tickets;
 use super::super::visitor::{Identified, accepted_cookie};
 use super::inspection::Begun;
 use crate::access::ClientOrigin;
-use crate::interfaces::admission::{Admission, Bounds, ConnectionPermit};
-use crate::interfaces::client_stream::ClientStream;
-use crate::interfaces::metrics::Connected;
-use crate::interfaces::pace::RequestPace;
+use crate::connections::admission::{Admission, Bounds, ConnectionPermit};
+use crate::connections::client_stream::ClientStream;
+use crate::connections::handshakes::Handshakes;
+use crate::connections::metrics::Connected;
+use crate::connections::pace::RequestPace;
 use crate::model::Urgency;
 
 const KEEP_ALIVE: HeaderName = HeaderName::from_static("keep-alive");

@@ -11,8 +11,8 @@ use super::super::image::{Ended, number_of};
 use super::super::order::ModbusOrder;
 use super::pending::{OrderKind, OrderStep, Target};
 use super::{ClientLease, ModbusConnection};
+use crate::connections::admission::Class;
 use crate::gripper::{AcquiredLease, Handle};
-use crate::interfaces::admission::Class;
 use crate::model::clock;
 use crate::model::{LeaseToken, LossCause, Name, TakeLease};
 use crate::operations::{

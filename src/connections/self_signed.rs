@@ -69,7 +69,7 @@ pub fn renewed(certificate: &[u8], key: &str, now: Timestamp) -> Result<Option<S
 }
 
 /// Whether the gateway made this certificate.
-pub(super) fn is_own(certificate: &X509Certificate<'_>) -> bool {
+pub(crate) fn is_own(certificate: &X509Certificate<'_>) -> bool {
     let mut organisations = certificate.subject().iter_organization().filter_map(|name| name.as_str().ok());
     certificate.subject().as_raw() == certificate.issuer().as_raw() && organisations.any(|name| name == ORGANISATION)
 }

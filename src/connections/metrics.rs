@@ -6,7 +6,7 @@ use prometheus::{IntCounter, IntCounterVec, IntGauge, Opts, Registry, Result};
 use super::foreign::ForeignClients;
 
 /// Route label of requests without a route. Clients can invent any number of paths, so the path itself is not a label.
-pub(super) const NO_ROUTE: &str = "none";
+pub(crate) const NO_ROUTE: &str = "none";
 
 /// Metrics of one interface: open connections, answered requests by route, method and status, and skipped updates.
 #[derive(Debug, Clone)]

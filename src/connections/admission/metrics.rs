@@ -7,7 +7,7 @@ use prometheus::proto::MetricFamily;
 use prometheus::{IntCounter, IntGauge, IntGaugeVec, Registry, Result};
 
 use super::{Admission, Class};
-use crate::interfaces::metrics::door_opts;
+use crate::connections::metrics::door_opts;
 
 /// Classes with a bound, and their names.
 const BOUNDED: [(Class, &str); 6] = [

@@ -10,13 +10,13 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use rand::RngExt as _;
 use tokio::sync::oneshot;
 
-use crate::interfaces::admission;
+use crate::connections::admission;
 
 /// Handshakes of one address that run at the same time.
 const AT_ONCE: usize = 4;
 
 #[derive(Debug, Clone, Default)]
-pub(super) struct Handshakes(Arc<Mutex<HashMap<IpAddr, Peer>>>);
+pub(crate) struct Handshakes(Arc<Mutex<HashMap<IpAddr, Peer>>>);
 
 #[derive(Debug, Default)]
 struct Peer {
@@ -27,14 +27,14 @@ struct Peer {
 
 /// The turn of a handshake, until it is dropped.
 #[derive(Debug)]
-pub(super) struct Turn {
+pub(crate) struct Turn {
     handshakes: Handshakes,
     peer: IpAddr,
 }
 
 impl Handshakes {
     /// Waits for the turn of a handshake.
-    pub(super) async fn turn(&self, peer: IpAddr) -> Turn {
+    pub(crate) async fn turn(&self, peer: IpAddr) -> Turn {
         let peer = admission::peer(peer);
         let waiting = {
             let mut peers = self.peers();
