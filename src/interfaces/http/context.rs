@@ -5,8 +5,8 @@ use std::sync::Arc;
 use prometheus::Registry;
 use tokio_util::sync::CancellationToken;
 
-use super::refused_sockets::RefusedSockets;
-use super::settings::SharedSettings;
+use super::http_settings::SharedSettings;
+use super::requests::refused_sockets::RefusedSockets;
 use crate::connections::Runtimes;
 use crate::connections::metrics::InterfaceMetrics;
 use crate::interfaces;

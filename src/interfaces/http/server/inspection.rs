@@ -16,9 +16,9 @@ use tokio_rustls::LazyConfigAcceptor;
 use tokio_rustls::rustls::server::Acceptor;
 use tokio_util::task::AbortOnDropHandle;
 
-use super::super::fast_stop::{begins_with_fast_stop, may_be_fast_stop};
-use super::super::redirect;
-use super::super::settings::HttpSettings;
+use super::super::http_settings::HttpSettings;
+use super::super::requests::fast_stop::{begins_with_fast_stop, may_be_fast_stop};
+use super::redirect;
 use crate::access::ClientCertificate;
 use crate::connections::accept::{FIRST_BYTES, FIRST_BYTES_WITHIN, REST_WITHIN, peek_now};
 use crate::connections::admission::ConnectionPermit;

@@ -8,6 +8,8 @@
 
 mod connection;
 mod inspection;
+mod redirect;
+pub(super) mod runtime_mover;
 
 use std::io;
 use std::net::SocketAddr;
@@ -19,11 +21,11 @@ use tokio::sync::{OwnedSemaphorePermit, watch};
 use tokio::time::{sleep, timeout};
 use tokio_util::sync::CancellationToken;
 
-use super::asked::OperationPaths;
 use super::context::HttpContext;
-use super::fast_stop::{begins_with_fast_stop, may_be_fast_stop};
+use super::http_settings::HttpSettings;
+use super::requests::fast_stop::{begins_with_fast_stop, may_be_fast_stop};
+use super::requests::requested_operation::OperationPaths;
 use super::router::router;
-use super::settings::HttpSettings;
 use crate::connections::accept::{self, Acceptor, CrowdSlot, FastStopRule};
 use crate::connections::admission::{Admission, ConnectionPermit, Usage};
 use crate::connections::handshakes::Handshakes;

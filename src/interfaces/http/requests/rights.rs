@@ -3,13 +3,15 @@
 use axum::extract::{MatchedPath, Request};
 use axum::response::{IntoResponse, Response};
 
-use super::asked::Asked;
-use super::context::{API, HttpContext, SOCKET};
+use super::body;
 use super::forward;
-use super::session::SESSION;
+use super::requested_operation::Asked;
 use super::visitor::Identified;
-use super::{body, docs, tickets};
 use crate::access::Right;
+use crate::interfaces::http::context::{API, HttpContext, SOCKET};
+use crate::interfaces::http::documents::docs;
+use crate::interfaces::http::resources::session::SESSION;
+use crate::interfaces::http::resources::tickets;
 use crate::operations::require;
 
 /// Refuses a client without the right to read, wherever no operation checks its caller.

@@ -13,9 +13,9 @@ use url::form_urlencoded;
 use utoipa::{IntoParams, ToSchema};
 use uuid::Uuid;
 
-use super::context::{API, HttpContext};
-use super::paths::CommandPath;
-use super::paths::responses::JournalProblem;
+use crate::interfaces::http::context::{API, HttpContext};
+use crate::interfaces::http::documents::paths::CommandPath;
+use crate::interfaces::http::documents::paths::responses::JournalProblem;
 use crate::journal::{EventKind, Page, csv};
 use crate::model::{CommandId, Sample};
 use crate::operations::Problem;

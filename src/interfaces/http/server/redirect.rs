@@ -11,8 +11,8 @@ use hyper::service::service_fn;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use tokio::net::TcpStream;
 
-use super::guard::is_ours;
-use super::settings::HttpSettings;
+use crate::interfaces::http::http_settings::HttpSettings;
+use crate::interfaces::http::requests::guard::is_ours;
 
 /// Maximum size of a request's header: the smallest that hyper supports.
 const MAX_HEADER_BYTES: usize = 8192;

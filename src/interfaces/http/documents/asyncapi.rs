@@ -6,9 +6,9 @@ use std::collections::BTreeSet;
 use serde_json::{Map, Value, json};
 use utoipa::OpenApi as _;
 
-use super::context::API;
 use super::field_schemas::{bound_numbers, describe_in_place};
 use crate::events::Gap;
+use crate::interfaces::http::context::API;
 use crate::interfaces::websocket::{MAX_ID_BYTES, SUBPROTOCOL, Subscribe, Subscribed};
 use crate::model::{CommandReport, DamageRecord, FrameRecord, State, Telemetry};
 use crate::operations::{Members, Operation as Method, all};

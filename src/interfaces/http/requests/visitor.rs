@@ -4,8 +4,8 @@ use axum::http::header::{AUTHORIZATION, COOKIE, HeaderValue, ORIGIN};
 use axum::http::{Extensions, HeaderMap};
 
 use super::origin::is_listed_other;
-use super::settings::HttpSettings;
 use crate::access::{Access, ClientOrigin, Credential, Identity, SessionId, Unauthorized, Visitor};
+use crate::interfaces::http::http_settings::HttpSettings;
 use crate::model::{Client, Door};
 
 /// Beginning of a name over TLS. Browsers accept such a cookie only from this very host (RFC 6265bis, 4.1.3.2).

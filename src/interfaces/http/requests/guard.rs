@@ -20,8 +20,8 @@ use tower_http::cors::{AllowHeaders, AllowOrigin, CorsLayer};
 use super::body;
 use super::operation::Compact;
 use super::origin::{is_same, is_same_authority};
-use super::settings::HttpSettings;
 use crate::gripper::Now;
+use crate::interfaces::http::http_settings::HttpSettings;
 use crate::operations::{Code, Problem};
 
 /// Headers of responses that scripts of the listed origins can read, besides those that browsers let them read anyway.
@@ -132,7 +132,7 @@ fn all_of<'a>(headers: &'a HeaderMap, name: &HeaderName) -> Vec<&'a HeaderValue>
 }
 
 /// Whether a host is an address, `localhost`, or one of the `allowed`, whatever its port.
-pub(super) fn is_ours(authority: &str, allowed: &[String]) -> bool {
+pub(in crate::interfaces::http) fn is_ours(authority: &str, allowed: &[String]) -> bool {
     if let Some((address, rest)) = authority.strip_prefix('[').and_then(|rest| rest.split_once(']')) {
         let port = rest.strip_prefix(':').is_some_and(is_port);
         return address.parse::<Ipv6Addr>().is_ok() && (rest.is_empty() || port);

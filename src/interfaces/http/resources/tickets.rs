@@ -9,10 +9,10 @@ use axum::http::header::SEC_WEBSOCKET_PROTOCOL;
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::context::{API, HttpContext, SOCKET, STREAM};
-use super::paths::responses::AnyProblem;
-use super::visitor::Identified;
 use crate::access::{TICKET_TIME, TicketId};
+use crate::interfaces::http::context::{API, HttpContext, SOCKET, STREAM};
+use crate::interfaces::http::documents::paths::responses::AnyProblem;
+use crate::interfaces::http::requests::visitor::Identified;
 use crate::operations::Problem;
 
 /// Path at which tickets are issued.

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use axum::http::{Method as Verb, Request};
 
-use super::context::API;
+use crate::interfaces::http::context::API;
 use crate::model::Urgency;
 use crate::operations::{Operation, all};
 

@@ -10,8 +10,8 @@ use axum::http::request::Parts;
 use axum::response::{IntoResponse, Response};
 use tokio::time::timeout;
 
-use super::asked::Asked;
 use super::body::{HeldBody, check_announced, check_encoding, read};
+use super::requested_operation::Asked;
 use crate::connections::admission::{Class, ConnectionPermit};
 use crate::connections::pace::RequestPace;
 use crate::model::Urgency;

@@ -13,14 +13,14 @@ use hyper::upgrade::Upgraded;
 use hyper_util::rt::TokioIo;
 use tokio_tungstenite::tungstenite::handshake::server::create_response_with_body;
 
-use super::context::HttpContext;
-use super::paths::responses::SocketProblem;
 use super::stream::too_many;
 use super::tickets::offered;
-use super::visitor::Identified;
 use crate::access::Visitor;
 use crate::connections::admission::{Claim, Class, ConnectionPermit};
 use crate::connections::client_stream::ClientStream;
+use crate::interfaces::http::context::HttpContext;
+use crate::interfaces::http::documents::paths::responses::SocketProblem;
+use crate::interfaces::http::requests::visitor::Identified;
 use crate::interfaces::websocket::{self, Connection, SUBPROTOCOL};
 use crate::model::{Client, Door};
 use crate::operations::Problem;

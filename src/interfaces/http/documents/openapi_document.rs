@@ -6,13 +6,13 @@ use std::iter;
 use serde_json::{Map, Value, json};
 use utoipa::openapi::OpenApi;
 
-use super::context::API;
 use super::field_schemas::{bound_numbers, describe_in_place};
 use super::flatten::flatten;
 use super::meanings;
 use super::paths;
 use super::paths::parameters::in_path;
 use super::paths::responses::{FORWARDED, references};
+use crate::interfaces::http::context::API;
 
 /// Paths of a gripper of this gateway, and of any gateway.
 const OWN: &str = "/grippers/{gripper}";

@@ -12,11 +12,11 @@ use axum::response::{IntoResponse, Response};
 use serde_json::{Map, Value};
 
 use super::body;
-use super::context::{API, HttpContext};
 use super::fast_stop::with_reason;
 use super::unknown_path::no_such_path;
 use super::visitor::Identified;
-use super::wait::ConnectionWaits;
+use super::waits::ConnectionWaits;
+use crate::interfaces::http::context::{API, HttpContext};
 use crate::model::{Door, LeaseToken, Text, Urgency};
 use crate::operations::values::text;
 use crate::operations::{

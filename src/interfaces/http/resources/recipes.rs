@@ -8,11 +8,11 @@ use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use serde_json::{Map, Value, json};
 
-use super::body;
-use super::context::HttpContext;
 use super::journal::CSV;
-use super::operation::{RequestBody, serve_below};
-use super::paths::responses::{JournalProblem, RecipeProblem};
+use crate::interfaces::http::context::HttpContext;
+use crate::interfaces::http::documents::paths::responses::{JournalProblem, RecipeProblem};
+use crate::interfaces::http::requests::body;
+use crate::interfaces::http::requests::operation::{RequestBody, serve_below};
 use crate::journal::csv::{original, table};
 use crate::model::{Recipe, without_byte_order_mark};
 use crate::operations::recipes::{MAX_RECIPES, RecipeList, SET_SEVERAL};

@@ -11,8 +11,8 @@ use utoipa::openapi::security::{ApiKey, ApiKeyValue, HttpAuthScheme, HttpBuilder
 use utoipa::openapi::{OpenApi, RefOr, Schema};
 
 use super::paths::responses;
-use super::settings::HttpSettings;
-use super::visitor::cookie_name;
+use crate::interfaces::http::http_settings::HttpSettings;
+use crate::interfaces::http::requests::visitor::cookie_name;
 use crate::journal::{EventKind, Order};
 use crate::operations::records::GripKinds;
 use crate::operations::statistics::MeasuredGrips;
@@ -22,10 +22,10 @@ use crate::operations::{Members, Problem};
 pub const DOCUMENTS: [&str; 2] = ["/openapi.json", "/asyncapi.yaml"];
 
 /// The OpenAPI document.
-pub const OPENAPI: &str = include_str!("../../../openapi/openapi.json");
+pub const OPENAPI: &str = include_str!("../../../../openapi/openapi.json");
 
 /// The AsyncAPI document of the WebSocket, as YAML.
-pub const ASYNCAPI: &str = include_str!("../../../openapi/asyncapi.yaml");
+pub const ASYNCAPI: &str = include_str!("../../../../openapi/asyncapi.yaml");
 
 /// Head of the OpenAPI document: title, description and tags.
 #[derive(utoipa::OpenApi)]

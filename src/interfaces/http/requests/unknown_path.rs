@@ -1,6 +1,6 @@
 //! The answer to a request for a path that does not exist.
 
-use super::context::API;
+use crate::interfaces::http::context::API;
 use crate::operations::nearest::similarity;
 use crate::operations::{Problem, all};
 

@@ -10,10 +10,10 @@ use prometheus::{TEXT_FORMAT, TextEncoder};
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::context::HttpContext;
-use super::paths::responses::AnyProblem;
-use super::visitor::Identified;
 use crate::access::{FastStopPolicy, Right, Unauthorized};
+use crate::interfaces::http::context::HttpContext;
+use crate::interfaces::http::documents::paths::responses::AnyProblem;
+use crate::interfaces::http::requests::visitor::Identified;
 use crate::operations::readiness::Readiness;
 use crate::operations::{Code, Problem, require};
 

@@ -4,11 +4,11 @@ use axum::extract::{MatchedPath, Request};
 use axum::http::{Method as Verb, StatusCode};
 use axum::response::Response;
 
-use super::asked::Asked;
-use super::context::{API, HttpContext};
 use super::problem::RefusedMark;
+use super::requested_operation::Asked;
 use super::visitor::client;
 use crate::connections::metrics::NO_ROUTE;
+use crate::interfaces::http::context::{API, HttpContext};
 use crate::model::Name;
 use crate::operations::audit::RefusedRequest;
 use crate::operations::journal_command;

@@ -10,8 +10,8 @@ use axum::extract::{Request, State};
 use axum::routing::{MethodFilter, on};
 use serde_json::{Map, Value, json};
 
-use super::context::{API, HttpContext};
-use super::operation::serve;
+use crate::interfaces::http::context::{API, HttpContext};
+use crate::interfaces::http::requests::operation::serve;
 use crate::model::Urgency;
 use crate::operations::contract::{Answer, Schemas};
 use crate::operations::{Operation, all};

@@ -9,10 +9,10 @@ use axum::response::Response;
 use tracing::field::Empty;
 use tracing::{Instrument, Span, debug, debug_span, info, info_span};
 
-use super::context::{API, HttpContext, SOCKET};
 use super::problem::RefusedMark;
 use super::refused_sockets::Handshake;
 use super::visitor::client;
+use crate::interfaces::http::context::{API, HttpContext, SOCKET};
 
 /// Counts and logs a request: a read at DEBUG, any other at INFO.
 pub async fn watch(context: &HttpContext, request: Request, next: impl AsyncFnOnce(Request) -> Response) -> Response {

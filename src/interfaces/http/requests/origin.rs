@@ -3,7 +3,7 @@
 use axum::http::HeaderMap;
 use axum::http::header::{HOST, HeaderValue};
 
-use super::settings::HttpSettings;
+use crate::interfaces::http::http_settings::HttpSettings;
 
 /// Whether the origin is listed, and not that of the gateway's own pages.
 pub fn is_listed_other(headers: &HeaderMap, origin: &HeaderValue, settings: &HttpSettings) -> bool {

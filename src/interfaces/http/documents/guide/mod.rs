@@ -116,7 +116,7 @@ mod tests {
     /// A promise about the future is an intention. Only what a test pins can be stated as a fact.
     #[test]
     fn promises_about_the_future_are_intentions() {
-        let guide = include_str!("../../../../deploy/guide/compatibility.md").replace('\n', " ");
+        let guide = include_str!("../../../../../deploy/guide/compatibility.md").replace('\n', " ");
         let sentences: Vec<_> = guide.split(". ").collect();
         for promise in ["`/api/v1` beside", "limit of a value"] {
             let found = sentences.iter().find(|sentence| sentence.contains(promise));

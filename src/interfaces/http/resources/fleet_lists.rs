@@ -13,10 +13,10 @@ use serde_json::value::{RawValue, to_raw_value};
 use url::form_urlencoded;
 use utoipa::{IntoParams, ToSchema};
 
-use super::context::HttpContext;
 use super::journal::{EventsQuery, GripsQuery, RecordsQuery};
-use super::paths::responses::{AnyProblem, JournalProblem};
 use crate::fleet::{NoAnswer, READINESS};
+use crate::interfaces::http::context::HttpContext;
+use crate::interfaces::http::documents::paths::responses::{AnyProblem, JournalProblem};
 use crate::model::Name;
 use crate::operations::fleet::no_answer;
 use crate::operations::readiness::Readiness;

@@ -11,11 +11,11 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::body;
-use super::context::HttpContext;
-use super::paths::responses::SessionProblem;
-use super::visitor::{accepted_cookie, cookie_name, session};
 use crate::access::{Identity, Role, SessionId, TokenSecret, Unauthorized};
+use crate::interfaces::http::context::HttpContext;
+use crate::interfaces::http::documents::paths::responses::SessionProblem;
+use crate::interfaces::http::requests::body;
+use crate::interfaces::http::requests::visitor::{accepted_cookie, cookie_name, session};
 use crate::operations::json::parse;
 use crate::operations::{Code, Problem};
 

@@ -19,7 +19,7 @@ use crate::operations::json::MAX_BODY_BYTES;
 
 /// Time that a FAST STOP waits for its reason. Header and body usually arrive in one packet or in two directly after
 /// each other. If the body is late, stopping matters more than knowing why.
-pub(super) const REASON_TIME: Duration = Duration::from_millis(20);
+pub(in crate::interfaces::http) const REASON_TIME: Duration = Duration::from_millis(20);
 
 /// Time to read the rest of a body while the FAST STOP is in progress: no longer than the FAST STOP takes.
 const REST_TIME: Duration = crate::gripper::handle::FAST_STOP_WAIT;
