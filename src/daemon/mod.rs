@@ -41,7 +41,7 @@ use crate::gripper::{Grippers, Now};
 use crate::interfaces::{self, http, zenoh};
 use crate::journal::{self, Journal, Recovered};
 use crate::model::{Detail, Event, GatewayEvent};
-use crate::operations::audit::Audit;
+use crate::operations::calls::audit::Audit;
 use crate::operations::readiness::EXPOSED;
 use crate::operations::{Gateway, Reloads};
 use crate::recipes::Recipes;

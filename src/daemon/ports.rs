@@ -13,7 +13,7 @@ use crate::connections::metrics::WsgPortMetrics;
 use crate::gripper::Grippers;
 use crate::interfaces::wsg_port::{self, ListenAddress, Listener, Port, Rules};
 use crate::model::Name;
-use crate::operations::audit::Audit;
+use crate::operations::calls::audit::Audit;
 
 /// A bound port that is not served yet.
 pub(super) struct BoundPort {

@@ -36,8 +36,9 @@ use crate::connections::pace::RequestPace;
 use crate::events::{Notification, encoded, text_frame};
 use crate::interfaces::Context;
 use crate::model::{Client, CommandReport, LossCause, Name, Urgency};
-use crate::operations::json::{MAX_BODY_BYTES, MAX_OVERSIZED_BYTES};
-use crate::operations::{Caller, Code, ConnectionLease, Method, Problem, lease, require};
+use crate::operations::gripper::lease;
+use crate::operations::parameters::json::{MAX_BODY_BYTES, MAX_OVERSIZED_BYTES};
+use crate::operations::{Caller, Code, ConnectionLease, Method, Problem, require};
 
 const PINGED_EVERY: Duration = Duration::from_secs(1);
 

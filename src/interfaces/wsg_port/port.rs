@@ -16,7 +16,7 @@ use crate::connections::peers::KnownPeers;
 use crate::connections::sockets;
 use crate::gripper::Handle;
 use crate::model::{Client, Door};
-use crate::operations::audit::Audit;
+use crate::operations::calls::audit::Audit;
 use crate::settings::{FileSection, SettingValue, flag, parsed, plain, settings};
 
 /// Silence after which a client's lease is lost: no TCP acknowledgements, or no datagrams unless configured otherwise.

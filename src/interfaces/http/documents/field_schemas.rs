@@ -2,7 +2,7 @@
 
 use serde_json::{Map, Value, json};
 
-use crate::operations::values::MAX_EXACT;
+use crate::operations::parameters::values::MAX_EXACT;
 
 /// Describes the types of single values where they are used. Their names end in `Field`.
 pub fn describe_in_place(document: &mut Value) {

@@ -10,7 +10,7 @@ use super::visitor::client;
 use crate::connections::metrics::NO_ROUTE;
 use crate::interfaces::http::context::{API, HttpContext};
 use crate::model::Name;
-use crate::operations::audit::RefusedRequest;
+use crate::operations::calls::audit::RefusedRequest;
 use crate::operations::journal_command;
 
 /// Records a request if it is refused. A refused read is recorded only if it lacks a valid credential.

@@ -11,7 +11,7 @@ use http_body_util::{BodyExt, LengthLimitError, Limited};
 use tokio::time::timeout;
 
 use crate::connections::admission::{ConnectionPermit, HeldBytes};
-use crate::operations::json::{MAX_BODY_BYTES, MAX_OVERSIZED_BYTES};
+use crate::operations::parameters::json::{MAX_BODY_BYTES, MAX_OVERSIZED_BYTES};
 use crate::operations::{Code, Problem};
 
 /// Time in which a body must arrive: [`MAX_BODY_BYTES`] at 64 kbit/s, and a little more.

@@ -15,7 +15,7 @@ use tokio::time::timeout;
 
 use super::body;
 use crate::connections::admission::{Class, ConnectionPermit};
-use crate::operations::json::MAX_BODY_BYTES;
+use crate::operations::parameters::json::MAX_BODY_BYTES;
 
 /// Time that a FAST STOP waits for its reason. Header and body usually arrive in one packet or in two directly after
 /// each other. If the body is late, stopping matters more than knowing why.

@@ -27,8 +27,8 @@ use crate::fleet::{PeerRequest, TOKEN};
 use crate::interfaces::http::context::{API, HttpContext};
 use crate::model::{Door, Name, Reason, Urgency};
 use crate::operations::fleet::no_answer;
-use crate::operations::json::{parse, text_member};
-use crate::operations::values::text;
+use crate::operations::parameters::json::{parse, text_member};
+use crate::operations::parameters::values::text;
 use crate::operations::{
     Code, DEFAULT_WAIT_MS, MAX_LEASE_BYTES, Operation, Problem, QueryString, all, check, note_use, wait_ms,
 };
@@ -255,7 +255,7 @@ fn refused(status: u16, problem: &RawValue) -> Response {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::operations::{commands, motion};
+    use crate::operations::gripper::{commands, motion};
 
     #[test]
     fn only_a_started_command_is_accepted() {

@@ -18,7 +18,7 @@ use super::visitor::Identified;
 use super::waits::ConnectionWaits;
 use crate::interfaces::http::context::{API, HttpContext};
 use crate::model::{Door, LeaseToken, Text, Urgency};
-use crate::operations::values::text;
+use crate::operations::parameters::values::text;
 use crate::operations::{
     Caller, Effect, Fields, MAX_LEASE_BYTES, Operation, OperationReply, Params, Presence, Problem, QueryString, Wait,
     run,
@@ -204,7 +204,7 @@ mod tests {
 
     use super::*;
     use crate::access::Access;
-    use crate::operations::motion;
+    use crate::operations::gripper::motion;
 
     fn parts(uri: &str, headers: &[(&str, &str)]) -> Parts {
         let mut request = Request::get(uri);

@@ -1,7 +1,7 @@
 //! The answer to a request for a path that does not exist.
 
 use crate::interfaces::http::context::API;
-use crate::operations::nearest::similarity;
+use crate::operations::parameters::nearest::similarity;
 use crate::operations::{Problem, all};
 
 /// Paths below the API's root that only HTTP has: documents, pages of the journal, files, sessions and streams.

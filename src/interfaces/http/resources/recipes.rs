@@ -15,8 +15,8 @@ use crate::interfaces::http::requests::body;
 use crate::interfaces::http::requests::operation::{RequestBody, serve_below};
 use crate::journal::csv::{original, table};
 use crate::model::{Recipe, without_byte_order_mark};
+use crate::operations::parameters::values::shortened;
 use crate::operations::recipes::{MAX_RECIPES, RecipeList, SET_SEVERAL};
-use crate::operations::values::shortened;
 use crate::operations::{Fields, Problem};
 
 const PART_ID: &str = "part_id";

@@ -16,7 +16,7 @@ use crate::interfaces::http::context::HttpContext;
 use crate::interfaces::http::documents::paths::responses::SessionProblem;
 use crate::interfaces::http::requests::body;
 use crate::interfaces::http::requests::visitor::{accepted_cookie, cookie_name, session};
-use crate::operations::json::parse;
+use crate::operations::parameters::json::parse;
 use crate::operations::{Code, Problem};
 
 /// Paths of the session.

@@ -25,7 +25,7 @@ use crate::interfaces::http::requests::visitor::Identified;
 use crate::interfaces::http::server::runtime_mover::RuntimeMover;
 use crate::journal::{EventStream, Filter, StreamItem};
 use crate::model::Name;
-use crate::operations::values::integer;
+use crate::operations::parameters::values::integer;
 use crate::operations::{Code, Problem, QueryString, words};
 
 /// Keeps nginx from collecting the stream's messages before it passes them on.

@@ -15,9 +15,8 @@ use crate::connections::admission::Class;
 use crate::gripper::{AcquiredLease, Handle};
 use crate::model::clock;
 use crate::model::{LeaseToken, LossCause, Name, TakeLease};
-use crate::operations::{
-    Caller, Code, ConnectionLease, Effect, Method, OperationReply, call, fast_stop, lease, motion,
-};
+use crate::operations::gripper::{fast_stop, lease, motion};
+use crate::operations::{Caller, Code, ConnectionLease, Effect, Method, OperationReply, call};
 
 impl ModbusConnection {
     /// Returns the client of a request with its rights, which a reload can change.

@@ -13,7 +13,7 @@ use serde_json::{Map, Value, json};
 use crate::interfaces::http::context::{API, HttpContext};
 use crate::interfaces::http::requests::operation::serve;
 use crate::model::Urgency;
-use crate::operations::contract::{Answer, Schemas};
+use crate::operations::calls::contract::{Answer, Schemas};
 use crate::operations::{Operation, all};
 
 pub use parameters::CommandPath;

@@ -6,7 +6,8 @@ use serde_json::{Map, Value, json};
 use utoipa::openapi::{Components, ContentBuilder, HeaderBuilder, Ref, RefOr, Response, ResponseBuilder};
 use utoipa::{IntoResponses, ToSchema};
 
-use crate::operations::{Members, problem_sets};
+use crate::operations::Members;
+use crate::operations::calls::problem_sets;
 
 /// Statuses of problems: status, name in the document, and description with the codes.
 const PROBLEMS: &[(&str, &str, &str)] = &[

@@ -6,17 +6,17 @@ use std::time::Duration;
 use serde::Deserialize;
 use utoipa::ToSchema;
 
-use super::call::{Call, Leased, NoFields};
-use super::connection_lease::ConnectionLease;
-use super::operation::operations;
-use super::problem::Problem;
-use super::reply::{Effect, Json, OrWaiting};
-use super::values::{LeaseField, Whole, name, text};
 use crate::access::Right;
 use crate::fleet::keys::MAX_SUBJECT_BYTES;
 use crate::gripper::{AcquiredLease, Conflict, Rejection};
 use crate::model::lease::{MAX_TTL, MIN_TTL};
 use crate::model::{Lease, OnLossHolding, OnLossMoving, TakeLease, Urgency};
+use crate::operations::calls::call::{Call, Leased, NoFields};
+use crate::operations::calls::connection_lease::ConnectionLease;
+use crate::operations::calls::operation::operations;
+use crate::operations::calls::reply::{Effect, Json, OrWaiting};
+use crate::operations::parameters::values::{LeaseField, Whole, name, text};
+use crate::operations::problem::Problem;
 
 operations! {
     /// Get the lease

@@ -5,12 +5,12 @@ use std::sync::Arc;
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::call::{Call, NoFields};
-use super::operation::operations;
-use super::problem::Problem;
-use super::reply::{Json, SharedJson};
 use crate::gripper::{Handle, Info, Now};
 use crate::model::{GripperStatus, State};
+use crate::operations::calls::call::{Call, NoFields};
+use crate::operations::calls::operation::operations;
+use crate::operations::calls::reply::{Json, SharedJson};
+use crate::operations::problem::Problem;
 use crate::trends::Trend;
 
 operations! {

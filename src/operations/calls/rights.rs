@@ -1,8 +1,8 @@
 //! The check of a caller's rights. No other place decides them.
 
-use super::problem::Problem;
 use crate::access::{Access, Identity, Right, Unauthorized};
 use crate::model::{Code, Name};
+use crate::operations::problem::Problem;
 
 /// Checks that a caller has the right to an operation of a gripper, or of all grippers.
 ///

@@ -5,15 +5,15 @@ use tracing::Span;
 use tracing::field::display;
 use utoipa::ToSchema;
 
-use super::call::{Call, Gripper, Leased, NoFields};
-use super::caller::{CommandWait, DEFAULT_WAIT_MS, RequestKeys};
-use super::gateway::Gateway;
-use super::operation::operations;
-use super::problem::Problem;
-use super::reply::{Json, OrRunning};
-use super::values::RequestIdText;
 use crate::gripper::Ticket;
 use crate::model::{Action, CommandId, CommandReport, LeaseToken, Phase, Submission, Urgency};
+use crate::operations::calls::call::{Call, Gripper, Leased, NoFields};
+use crate::operations::calls::caller::{CommandWait, DEFAULT_WAIT_MS, RequestKeys};
+use crate::operations::calls::operation::operations;
+use crate::operations::calls::reply::{Json, OrRunning};
+use crate::operations::gateway::Gateway;
+use crate::operations::parameters::values::RequestIdText;
+use crate::operations::problem::Problem;
 
 operations! {
     /// Get a command

@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use super::call::Call;
-use super::problem::Problem;
-use super::values::{PartIdText, RecipeOrNone, Version, text};
 use crate::model::{AppliedRecipe, Code, PartId, RecipeNumber, RecipeValues};
+use crate::operations::calls::call::Call;
+use crate::operations::parameters::values::{PartIdText, RecipeOrNone, Version, text};
+use crate::operations::problem::Problem;
 use crate::recipes::RecipeVersion;
 
 /// The part of a request, and its recipe, if it has one.

@@ -9,9 +9,9 @@ use utoipa::ToSchema;
 
 use super::connection_lease::ConnectionLease;
 use super::contract::{Answer, Schemas};
-use super::problem::Problem;
 use crate::gripper::Ticket;
 use crate::model::{Code, CommandReport, Name};
+use crate::operations::problem::Problem;
 
 /// The successful result of an operation.
 #[derive(Debug)]
@@ -74,19 +74,19 @@ pub struct OrWaiting<T> {
 
 impl<T: Serialize> OrRunning<T> {
     /// The result.
-    pub(super) fn ended(result: &T) -> Result<Self, Problem> {
+    pub(in crate::operations) fn ended(result: &T) -> Result<Self, Problem> {
         Ok(Self { reply: OperationReply::new(result, Effect::None)?, result: PhantomData })
     }
 
     /// The running command.
-    pub(super) fn running(command: &CommandReport, ticket: Ticket) -> Result<Self, Problem> {
+    pub(in crate::operations) fn running(command: &CommandReport, ticket: Ticket) -> Result<Self, Problem> {
         let effect = Effect::Running { gripper: command.gripper.clone(), ticket };
         Ok(Self { reply: OperationReply::new(command, effect)?, result: PhantomData })
     }
 }
 
 impl<T: Serialize> OrWaiting<T> {
-    pub(super) fn new(result: &T, effect: Effect) -> Result<Self, Problem> {
+    pub(in crate::operations) fn new(result: &T, effect: Effect) -> Result<Self, Problem> {
         Ok(Self { reply: OperationReply::new(result, effect)?, result: PhantomData })
     }
 }
@@ -162,7 +162,7 @@ impl<T: Serialize + ToSchema> IntoReply for OrWaiting<T> {
 }
 
 impl OperationReply {
-    pub(super) fn new(result: &impl Serialize, effect: Effect) -> Result<Self, Problem> {
+    pub(in crate::operations) fn new(result: &impl Serialize, effect: Effect) -> Result<Self, Problem> {
         let body = to_raw_value(result)
             .map_err(|error| Problem::new(Code::Internal, format!("the result could not be serialised: {error}")))?;
         Ok(Self { body, effect, version: None, is_new: false })

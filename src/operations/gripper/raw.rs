@@ -4,16 +4,16 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::call::Call;
-use super::caller::DEFAULT_WAIT_MS;
 use super::commands;
-use super::operation::operations;
-use super::problem::Problem;
-use super::reply::OrRunning;
-use super::values::{LeaseField, RequestIdText, Whole, bytes};
 use crate::access::Right;
 use crate::gripper::{FastStop, Handle, Rejection};
 use crate::model::{Action, CommandId, CommandReport, FastStopId, Motion, Outcome, Phase, Reason};
+use crate::operations::calls::call::Call;
+use crate::operations::calls::caller::DEFAULT_WAIT_MS;
+use crate::operations::calls::operation::operations;
+use crate::operations::calls::reply::OrRunning;
+use crate::operations::parameters::values::{LeaseField, RequestIdText, Whole, bytes};
+use crate::operations::problem::Problem;
 use crate::wsg::id::MAX_OPAQUE_BYTES;
 use crate::wsg::{self, Status, Updates};
 

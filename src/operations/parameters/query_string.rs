@@ -8,8 +8,8 @@ use serde_json::{Map, Value, json};
 use strum::VariantArray;
 use url::form_urlencoded;
 
-use super::problem::Problem;
 use super::values::shortened;
+use crate::operations::problem::Problem;
 
 #[derive(Debug)]
 pub struct QueryString(Vec<(String, String)>);

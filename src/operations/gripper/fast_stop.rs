@@ -10,14 +10,14 @@ use utoipa::openapi::schema::{ObjectBuilder, SchemaType};
 use utoipa::openapi::{RefOr, Schema};
 use utoipa::{PartialSchema, ToSchema};
 
-use super::call::Call;
-use super::operation::operations;
-use super::problem::Problem;
-use super::reply::Json;
-use super::values::LeaseField;
 use crate::access::Right;
 use crate::gripper::FastStop;
 use crate::model::{FastStopId, Reason, Urgency};
+use crate::operations::calls::call::Call;
+use crate::operations::calls::operation::operations;
+use crate::operations::calls::reply::Json;
+use crate::operations::parameters::values::LeaseField;
+use crate::operations::problem::Problem;
 
 operations! {
     /// FAST STOP a gripper
@@ -106,17 +106,17 @@ pub struct AllFastStopAnswer {
 }
 
 /// Returns the reason of a FAST STOP, or an empty one if the parameters cannot be parsed.
-pub(super) fn reason<P>(call: &Call<P>) -> Reason {
+pub(in crate::operations) fn reason<P>(call: &Call<P>) -> Reason {
     Reason::truncated(&call.lenient_text("reason").unwrap_or_default())
 }
 
 /// Adds the id of a FAST STOP to the log of its request.
-pub(super) fn log(id: FastStopId) {
+pub(in crate::operations) fn log(id: FastStopId) {
     Span::current().record("fast_stop", display(id));
 }
 
 /// Splits grippers into confirmed and unconfirmed ones.
-pub(super) fn by_confirmation(stops: Vec<(impl ToString, bool)>) -> (Vec<String>, Vec<String>) {
+pub(in crate::operations) fn by_confirmation(stops: Vec<(impl ToString, bool)>) -> (Vec<String>, Vec<String>) {
     let mut confirmed = Vec::new();
     let mut unconfirmed = Vec::new();
     for (name, is_confirmed) in stops {

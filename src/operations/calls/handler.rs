@@ -5,8 +5,8 @@ use utoipa::ToSchema;
 
 use super::call::Call;
 use super::contract::{Contract, described};
-use super::problem::Problem;
 use super::reply::{IntoReply, OperationReply};
+use crate::operations::problem::Problem;
 
 /// An operation that is being performed.
 pub type Performing = BoxFuture<'static, Result<OperationReply, Problem>>;

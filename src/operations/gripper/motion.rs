@@ -4,16 +4,18 @@ use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use utoipa::ToSchema;
 
-use super::call::Call;
-use super::caller::{DEFAULT_WAIT_MS, RequestKeys};
 use super::commands;
-use super::operation::operations;
-use super::problem::Problem;
-use super::reply::OrRunning;
-use super::requested_recipe::RequestedRecipe;
-use super::values::{LeaseField, PartIdText, RecipeOrNone, RequestIdText, Version, force, speed, width};
 use crate::access::Right;
 use crate::model::{Action, CommandReport, Direction, Motion, OnBlock, RecipeValues, Urgency};
+use crate::operations::calls::call::Call;
+use crate::operations::calls::caller::{DEFAULT_WAIT_MS, RequestKeys};
+use crate::operations::calls::operation::operations;
+use crate::operations::calls::reply::OrRunning;
+use crate::operations::parameters::values::{
+    LeaseField, PartIdText, RecipeOrNone, RequestIdText, Version, force, speed, width,
+};
+use crate::operations::problem::Problem;
+use crate::operations::recipes::requested_recipe::RequestedRecipe;
 use crate::wsg::MoveFlags;
 
 operations! {

@@ -16,9 +16,9 @@ use utoipa::openapi::RefOr;
 use utoipa::openapi::schema::{KnownFormat, ObjectBuilder, OneOfBuilder, Schema, SchemaFormat, Type};
 use utoipa::{PartialSchema, ToSchema};
 
-use super::problem::Problem;
 use crate::gripper::limits::{FASTEST_MM_S, HARDEST_MM_S2, STRONGEST_N, WIDEST_MM};
 use crate::model::{Name, PartId, ShownName, Text};
+use crate::operations::problem::Problem;
 use crate::wsg::{Acceleration, Force, NotFinite, Speed, Width};
 
 /// Token of the current lease, if the gripper is leased. At most 64 bytes; empty means none.

@@ -30,7 +30,7 @@ pub struct Answer {
 
 impl Answer {
     /// Returns an answer of this type, and adds its schema.
-    pub(super) fn of<T: ToSchema>(status: u16, schemas: &mut Schemas) -> Self {
+    pub(in crate::operations) fn of<T: ToSchema>(status: u16, schemas: &mut Schemas) -> Self {
         let named = described::<T>(schemas);
         let schema = named.0.clone();
         schemas.push(named);
@@ -39,7 +39,7 @@ impl Answer {
 }
 
 /// Returns a type's name and schema, and adds the schemas that it refers to.
-pub(super) fn described<T: ToSchema>(schemas: &mut Schemas) -> (String, RefOr<Schema>) {
+pub(in crate::operations) fn described<T: ToSchema>(schemas: &mut Schemas) -> (String, RefOr<Schema>) {
     T::schemas(schemas);
     (T::name().into_owned(), T::schema())
 }

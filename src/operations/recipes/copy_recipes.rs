@@ -7,15 +7,15 @@ use serde_json::json;
 use serde_json::value::RawValue;
 use utoipa::ToSchema;
 
-use super::call::Call;
-use super::fleet::no_answer;
-use super::operation::operations;
-use super::problem::Problem;
-use super::recipes::{MAX_RECIPES, SET_SEVERAL};
-use super::reply::Json;
-use super::values::{FullPartId, gripper_or_gateway, part_id};
+use super::{MAX_RECIPES, SET_SEVERAL};
 use crate::fleet::{NoAnswer, PeerRequest};
 use crate::model::{Code, Name, Recipe, Urgency};
+use crate::operations::calls::call::Call;
+use crate::operations::calls::operation::operations;
+use crate::operations::calls::reply::Json;
+use crate::operations::fleet::no_answer;
+use crate::operations::parameters::values::{FullPartId, gripper_or_gateway, part_id};
+use crate::operations::problem::Problem;
 
 operations! {
     /// Copy recipes to another gateway

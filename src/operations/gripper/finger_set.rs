@@ -4,13 +4,13 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::call::{Call, NoFields};
-use super::durable::{check_journal, durable};
-use super::operation::operations;
-use super::problem::Problem;
-use super::reply::Json;
-use super::values::{FingerSetText, Whole, part_id};
 use crate::model::Name;
+use crate::operations::calls::call::{Call, NoFields};
+use crate::operations::calls::durable_changes::{check_journal, durable};
+use crate::operations::calls::operation::operations;
+use crate::operations::calls::reply::Json;
+use crate::operations::parameters::values::{FingerSetText, Whole, part_id};
+use crate::operations::problem::Problem;
 use crate::wear::{FingerSet, MountRequest};
 
 operations! {

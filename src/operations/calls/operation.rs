@@ -50,7 +50,7 @@ pub struct Operation {
     /// Whether an HTTP request can name the version that it expects (RFC 9110 13.1).
     pub is_conditional: bool,
     /// The function, which starts when it is called.
-    pub(super) start: fn(Call) -> Performing,
+    pub(in crate::operations) start: fn(Call) -> Performing,
 }
 
 /// Declares a module's operations: each as a constant, and all as `OPERATIONS`. `fingers.rs` is an example.
@@ -70,31 +70,31 @@ macro_rules! operations {
     )+) => {
         $(
             $(#[doc = $doc])+
-            pub const $constant: $crate::operations::Operation = $crate::operations::operation::Operation {
+            pub const $constant: $crate::operations::Operation = $crate::operations::calls::operation::Operation {
                 doc: concat!($($doc, "\n"),+),
                 id: $id,
                 tag: $tag,
                 answer: $answer,
-                problems: $crate::operations::problem_sets::$problems,
-                ..$crate::operations::operation::Operation::declared(
+                problems: $crate::operations::calls::problem_sets::$problems,
+                ..$crate::operations::calls::operation::Operation::declared(
                     &http::Method::$verb,
                     $path,
                     $name,
-                    $crate::operations::handler::contract(&$run),
-                    |call| $crate::operations::handler::Handler::start($run, call.with_fields()),
+                    $crate::operations::calls::handler::contract(&$run),
+                    |call| $crate::operations::calls::handler::Handler::start($run, call.with_fields()),
                 )
             }$(.$property($($value),*))*;
         )+
 
         /// The operations of this module.
-        pub(super) const OPERATIONS: &[$crate::operations::Operation] = &[$($constant),+];
+        pub(in crate::operations) const OPERATIONS: &[$crate::operations::Operation] = &[$($constant),+];
     };
 }
-pub(super) use operations;
+pub(in crate::operations) use operations;
 
 impl Operation {
     /// Returns an operation without its texts. Only `operations!` uses it.
-    pub(super) const fn declared(
+    pub(in crate::operations) const fn declared(
         verb: &'static Verb,
         path: &'static str,
         name: &'static str,
@@ -126,46 +126,46 @@ impl Operation {
     }
 
     /// Sets the right that the caller needs.
-    pub(super) const fn needs(self, right: Right) -> Self {
+    pub(in crate::operations) const fn needs(self, right: Right) -> Self {
         Self { right, ..self }
     }
 
     /// Starts a command, and can wait for its end.
-    pub(super) const fn command(self) -> Self {
+    pub(in crate::operations) const fn command(self) -> Self {
         Self { starts_command: true, waits: true, ..self }
     }
 
     /// Can wait for the end of a command that another request has started.
-    pub(super) const fn waiting(self) -> Self {
+    pub(in crate::operations) const fn waiting(self) -> Self {
         Self { waits: true, ..self }
     }
 
     /// Answers 201 with this description if it created something.
-    pub(super) const fn creating(self, description: &'static str) -> Self {
+    pub(in crate::operations) const fn creating(self, description: &'static str) -> Self {
         Self { creates: Some(description), ..self }
     }
 
     /// Leaves out headers that only browsers need.
-    pub(super) const fn compact(self) -> Self {
+    pub(in crate::operations) const fn compact(self) -> Self {
         Self { is_compact: true, ..self }
     }
 
     /// Needs one or another of its fields.
-    pub(super) const fn with_some_field(self) -> Self {
+    pub(in crate::operations) const fn with_some_field(self) -> Self {
         Self { needs_body: true, ..self }
     }
 
     /// Takes the version that an HTTP request expects.
-    pub(super) const fn conditional(self) -> Self {
+    pub(in crate::operations) const fn conditional(self) -> Self {
         Self { is_conditional: true, ..self }
     }
 
-    pub(super) const fn urgent(self, urgency: Urgency) -> Self {
+    pub(in crate::operations) const fn urgent(self, urgency: Urgency) -> Self {
         Self { urgency, ..self }
     }
 
     /// Executes requests in spite of their mistakes.
-    pub(super) const fn despite_mistakes(self) -> Self {
+    pub(in crate::operations) const fn despite_mistakes(self) -> Self {
         Self { ignores_mistakes: true, ..self }
     }
 

@@ -7,8 +7,8 @@ use serde::de::{Deserialize, DeserializeOwned, Deserializer, Error, MapAccess, S
 use serde::forward_to_deserialize_any;
 use serde_json::{Map, Value};
 
-use super::problem::Problem;
 use crate::model::{Code, without_byte_order_mark};
+use crate::operations::problem::Problem;
 
 /// Largest accepted body, message or payload, in bytes. The largest that any request needs is a `raw` one of 8 KiB.
 pub const MAX_BODY_BYTES: usize = 64 * 1024;
@@ -340,7 +340,7 @@ mod tests {
             relative: Option<bool>,
             lease: Option<String>,
             side: Option<Side>,
-            name: Option<crate::operations::values::TextOrNumber>,
+            name: Option<crate::operations::parameters::values::TextOrNumber>,
             count: Option<u8>,
         }
         for (body, detail) in [

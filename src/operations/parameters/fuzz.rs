@@ -5,9 +5,9 @@ use std::fmt::Debug;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
-use super::call::Leased;
 use super::json::{self, StrictJson};
-use super::motion::{Grip, Home, Move, Release, Stop};
+use crate::operations::calls::call::Leased;
+use crate::operations::gripper::motion::{Grip, Home, Move, Release, Stop};
 
 /// Checks that the parser of texts (HTTP) and the parser of objects (WebSocket, Zenoh) accept the same bodies.
 pub(crate) fn body(data: &[u8]) {

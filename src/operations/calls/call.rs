@@ -11,15 +11,15 @@ use serde_json::{Map, Value};
 use utoipa::ToSchema;
 
 use super::caller::{Caller, CommandWait, Presence, RequestKeys};
-use super::gateway::Gateway;
-use super::json;
-use super::problem::Problem;
 use super::rights::require;
-use super::values::{LeaseField, part_id};
 use crate::access::Right;
 use crate::gripper::handle::Using;
 use crate::gripper::{Handle, Rejection};
 use crate::model::{Client, CommandId, LeaseToken, Name, PartId};
+use crate::operations::gateway::Gateway;
+use crate::operations::parameters::json;
+use crate::operations::parameters::values::{LeaseField, part_id};
+use crate::operations::problem::Problem;
 use crate::recipes::ExpectedVersion;
 use crate::webhooks::Webhook;
 use crate::wsg::{self, Finger};
@@ -87,12 +87,12 @@ impl Params {
 }
 
 impl<P> Call<P> {
-    pub(super) fn new(gateway: Arc<Gateway>, caller: Caller, params: Params) -> Self {
+    pub(in crate::operations) fn new(gateway: Arc<Gateway>, caller: Caller, params: Params) -> Self {
         Self { gateway, caller, params, fields: PhantomData }
     }
 
     /// Returns the same request for a function with other parameters.
-    pub(super) fn with_fields<Q>(self) -> Call<Q> {
+    pub(in crate::operations) fn with_fields<Q>(self) -> Call<Q> {
         Call::new(self.gateway, self.caller, self.params)
     }
 
@@ -277,7 +277,8 @@ mod tests {
     use crate::access::{Identity, Role};
     use crate::gripper::fake::{self, FakeScript, Fate};
     use crate::model::{Client, Door};
-    use crate::operations::{Code, Method, Wait, call, fast_stop};
+    use crate::operations::gripper::fast_stop;
+    use crate::operations::{Code, Method, Wait, call};
 
     #[tokio::test(start_paused = true)]
     async fn open_request_keeps_the_lease_only_if_its_client_is_seen() {

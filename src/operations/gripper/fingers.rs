@@ -3,12 +3,12 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::call::{Call, NoFields};
 use super::device::ask;
-use super::operation::operations;
-use super::problem::Problem;
-use super::reply::Json;
-use super::values::LeaseField;
+use crate::operations::calls::call::{Call, NoFields};
+use crate::operations::calls::operation::operations;
+use crate::operations::calls::reply::Json;
+use crate::operations::parameters::values::LeaseField;
+use crate::operations::problem::Problem;
 use crate::wsg::{self, Data, Finger};
 
 operations! {

@@ -3,12 +3,12 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::call::{Call, Gripper, Leased, NoFields};
-use super::operation::operations;
-use super::problem::Problem;
-use super::reply::Json;
-use super::values::bytes;
 use crate::gripper::{Failure, Rejection};
+use crate::operations::calls::call::{Call, Gripper, Leased, NoFields};
+use crate::operations::calls::operation::operations;
+use crate::operations::calls::reply::Json;
+use crate::operations::parameters::values::bytes;
+use crate::operations::problem::Problem;
 use crate::wsg::id::MAX_LOOP_BYTES;
 use crate::wsg::{self, Data, LoopData};
 
@@ -50,10 +50,10 @@ macro_rules! only {
         |data| if let $variant(value) = data { Some(value) } else { None }
     };
 }
-pub(super) use only;
+pub(in crate::operations) use only;
 
 /// Sends a request to the device, and extracts the expected data from the reply.
-pub(super) async fn ask<T>(
+pub(in crate::operations) async fn ask<T>(
     gripper: &Gripper,
     command: wsg::Command,
     take: impl FnOnce(Data) -> Option<T>,

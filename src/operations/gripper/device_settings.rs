@@ -4,14 +4,14 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::call::{Call, Gripper, Leased, NoFields};
 use super::device::{ask, only};
-use super::operation::operations;
-use super::problem::Problem;
-use super::reply::Json;
-use super::values::{LeaseField, acceleration, force, width};
 use crate::gripper::{Failure, Now, Rejection};
 use crate::model::Code;
+use crate::operations::calls::call::{Call, Gripper, Leased, NoFields};
+use crate::operations::calls::operation::operations;
+use crate::operations::calls::reply::Json;
+use crate::operations::parameters::values::{LeaseField, acceleration, force, width};
+use crate::operations::problem::Problem;
 use crate::wsg::{self, Data, DeviceTag, InvalidDeviceTag, SoftLimits, Status, SystemState};
 
 operations! {

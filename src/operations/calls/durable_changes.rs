@@ -6,15 +6,15 @@ use tokio::sync::oneshot;
 use tokio::time::timeout;
 
 use super::call::Call;
-use super::problem::Problem;
 use crate::gripper::recorder::Recorder as _;
 use crate::model::Code;
+use crate::operations::problem::Problem;
 
 /// Time limit for a change to become durable. A disk that hangs would otherwise hold requests forever.
 const DURABLE_WITHIN: Duration = Duration::from_secs(2);
 
 /// Refuses a change that would not become durable. `unchanged` says what was not changed.
-pub(super) fn check_journal<P>(call: &Call<P>, unchanged: &str) -> Result<(), Problem> {
+pub(in crate::operations) fn check_journal<P>(call: &Call<P>, unchanged: &str) -> Result<(), Problem> {
     let failure = call.gateway.journal.health().borrow().failure.clone();
     match failure {
         Some(cause) => Err(Problem::new(Code::JournalDown, format!("journal unavailable ({cause}): {unchanged}"))),
@@ -23,7 +23,7 @@ pub(super) fn check_journal<P>(call: &Call<P>, unchanged: &str) -> Result<(), Pr
 }
 
 /// Waits until a change is durable.
-pub(super) async fn durable(change: oneshot::Receiver<()>) -> Result<(), Problem> {
+pub(in crate::operations) async fn durable(change: oneshot::Receiver<()>) -> Result<(), Problem> {
     if let Ok(Ok(())) = timeout(DURABLE_WITHIN, change).await {
         return Ok(());
     }

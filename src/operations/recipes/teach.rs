@@ -3,15 +3,15 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::call::Call;
-use super::operation::operations;
-use super::problem::Problem;
-use super::reply::Json;
-use super::values::{Whole, gripper_or_gateway};
 use crate::access::Right;
 use crate::gripper::limits::WIDEST_MM;
 use crate::journal::{Distribution, Filter, GripQuery, Limit};
 use crate::model::{Code, Kind, Outcome};
+use crate::operations::calls::call::Call;
+use crate::operations::calls::operation::operations;
+use crate::operations::calls::reply::Json;
+use crate::operations::parameters::values::{Whole, gripper_or_gateway};
+use crate::operations::problem::Problem;
 
 operations! {
     /// Propose limits for a recipe

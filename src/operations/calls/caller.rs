@@ -5,11 +5,11 @@ use std::time::Duration;
 
 use futures_util::future::BoxFuture;
 
-use super::problem::Problem;
-use super::values::{integer, text};
 use crate::access::{Identity, Unauthorized};
 use crate::gripper::Ticket;
 use crate::model::{Client, ClientLabel, CommandReport, LeaseToken, RequestId};
+use crate::operations::parameters::values::{integer, text};
+use crate::operations::problem::Problem;
 
 /// Longest wait for a command's end, in ms. Proxies and clients give up after a minute.
 pub const MAX_WAIT_MS: u64 = 60_000;

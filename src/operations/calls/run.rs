@@ -12,16 +12,16 @@ use serde_json::{Map, Value};
 use super::audit::RefusedRequest;
 use super::call::{Call, Fields, PART_ID, Params};
 use super::caller::Caller;
-use super::fast_stop;
-use super::gateway::Gateway;
 use super::operation::Operation;
-use super::problem::Problem;
 use super::reply::OperationReply;
 use super::rights::check;
-use super::table::Method;
-use super::values::TextOrNumber;
 use crate::access::{Access, Identity, Unauthorized};
 use crate::model::{Code, Urgency};
+use crate::operations::gateway::Gateway;
+use crate::operations::gripper::fast_stop;
+use crate::operations::parameters::values::TextOrNumber;
+use crate::operations::problem::Problem;
+use crate::operations::table::Method;
 
 /// Notes that a browser's session is used, which keeps it and its PIN from expiring.
 pub fn note_use(access: &Access, operation: &Operation, identity: &Result<Identity, Unauthorized>) {
@@ -157,7 +157,7 @@ mod tests {
     use crate::access::{Role, Scope};
     use crate::gripper::fake::{self, FakeScript};
     use crate::model::{Client, Door};
-    use crate::operations::{grippers, motion};
+    use crate::operations::gripper::{grippers, motion};
 
     fn resolved(name: &str, params: Value) -> (&'static str, Params) {
         let (operation, params) = resolve(Method::named(name).unwrap(), params).unwrap();

@@ -1,10 +1,10 @@
 //! Releasing a gripper to another program, such as the vendor's tool, and connecting to it again.
 
-use super::call::{Call, Leased};
-use super::operation::operations;
-use super::problem::Problem;
-use super::reply::SharedJson;
 use crate::model::State;
+use crate::operations::calls::call::{Call, Leased};
+use crate::operations::calls::operation::operations;
+use crate::operations::calls::reply::SharedJson;
+use crate::operations::problem::Problem;
 
 operations! {
     /// Release a gripper to another program
