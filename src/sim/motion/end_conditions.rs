@@ -2,8 +2,8 @@
 
 use wsg::Status;
 
-use super::super::axis::{AxisDirection, Drive, Progress};
-use super::super::grip::GripProgress;
+use super::axis::{AxisDirection, Drive, Progress};
+use super::grip::GripProgress;
 use super::{Activity, BLOCK_STEPS, Mechanics, StepOutcome, TIMEOUT_STEPS};
 
 /// Distance in mm by which the fingers back off after they found the end stop.

@@ -6,10 +6,10 @@ use serde::{Deserialize, Serialize};
 use super::axis::AxisDirection;
 
 /// Stiffness of end stops and obstacles, in N/mm.
-pub(super) const RIGID_N_MM: f64 = 2000.0;
+pub(crate) const RIGID_N_MM: f64 = 2000.0;
 
 /// Minimum stiffness of a part, in N/mm.
-pub(super) const SOFTEST_N_MM: f64 = 0.1;
+pub(crate) const SOFTEST_N_MM: f64 = 0.1;
 
 /// Speed of a slipping part in mm per step, faster than fingers in contact can follow.
 const SLIP_MM_PER_STEP: f64 = 0.05;
@@ -70,14 +70,14 @@ impl Part {
 
 /// A surface that resists the fingers in one direction.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Surface {
+pub(crate) struct Surface {
     pub at_mm: f64,
     pub stiffness_n_mm: f64,
 }
 
 /// First surface in each direction.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Surfaces {
+pub(crate) struct Surfaces {
     pub closing: Surface,
     pub opening: Surface,
 }
@@ -122,7 +122,7 @@ struct Obstacle {
 
 /// The space between the jaws.
 #[derive(Debug)]
-pub(super) struct World {
+pub(crate) struct World {
     stroke_mm: f64,
     part: Option<Placed>,
     obstacle: Option<Obstacle>,

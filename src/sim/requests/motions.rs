@@ -2,12 +2,12 @@
 
 use wsg::{Command, HomingDirection, InvalidRequest, Status, Width};
 
-use super::axis::{AxisDirection, Drive};
-use super::grip::Grip;
-use super::motion::Plan;
-use super::process::MotionKind;
 use super::replies::PendingReply;
-use super::{Device, Running};
+use crate::motion::Plan;
+use crate::motion::axis::{AxisDirection, Drive};
+use crate::motion::grip::Grip;
+use crate::process::MotionKind;
+use crate::{Device, Running};
 
 /// Homing speed in mm/s.
 const HOMING_SPEED_MM_S: f64 = 50.0;
@@ -103,7 +103,7 @@ impl Device {
     }
 
     /// Plans pre-positioning: with the force limit in fw2, with half of the nominal force in fw4.
-    pub(super) fn plan_move(&self, width_mm: f64, speed_mm_s: f64, clamp: bool) -> Plan {
+    pub(crate) fn plan_move(&self, width_mm: f64, speed_mm_s: f64, clamp: bool) -> Plan {
         let force_limit_n = if self.config.is_fw4() {
             self.config.nominal_force_n() * BLOCK_FORCE_SHARE
         } else {
@@ -129,13 +129,13 @@ impl Device {
         }
     }
 
-    pub(super) fn start(&mut self, ticket: Option<PendingReply>, kind: MotionKind, plan: Plan) {
+    pub(crate) fn start(&mut self, ticket: Option<PendingReply>, kind: MotionKind, plan: Plan) {
         self.process.started(kind);
         self.mechanics.start(plan);
         self.running = Some(Running { kind, ticket });
     }
 
-    pub(super) fn is_running(&self) -> bool {
+    pub(crate) fn is_running(&self) -> bool {
         self.running.is_some() || self.mechanics.is_running()
     }
 }

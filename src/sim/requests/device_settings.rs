@@ -2,10 +2,10 @@
 
 use wsg::{Acceleration, DeviceTag, Force, SoftLimits};
 
-use super::config::DeviceConfig;
+use crate::config::DeviceConfig;
 
 #[derive(Debug)]
-pub(super) struct DeviceSettings {
+pub(crate) struct DeviceSettings {
     pub acceleration_mm_s2: f64,
     pub force_limit_n: f64,
     pub soft_limits: Option<SoftLimits>,

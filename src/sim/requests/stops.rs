@@ -3,17 +3,17 @@
 
 use wsg::{Status, id};
 
-use super::Device;
-use super::motion::StepOutcome;
-use super::process::MotionKind;
 use super::replies::PendingReply;
+use crate::Device;
+use crate::motion::StepOutcome;
+use crate::process::MotionKind;
 
 /// Limit of Stops that wait for the fingers to come to rest; further ones are answered at once.
 const MAX_WAITING_STOPS: usize = 16;
 
 impl Device {
     /// Stops the motion, and replies when the fingers are at rest (`fw4-en 3.2.3`).
-    pub(super) fn stop(&mut self) {
+    pub(crate) fn stop(&mut self) {
         let ticket = self.ticket(id::STOP);
         if self.is_running() || self.config.stop_sets_flag_when_idle {
             self.process.axis_stopped = true;
@@ -31,7 +31,7 @@ impl Device {
     }
 
     /// Answers the waiting Stops with `answer`, and ends the motion.
-    pub(super) fn stopped(&mut self, answer: Status) {
+    pub(crate) fn stopped(&mut self, answer: Status) {
         let stops = std::mem::take(&mut self.stops);
         if self.running.is_some() {
             self.process.aborted();
@@ -45,12 +45,12 @@ impl Device {
         self.fast_stop_with(Some(ticket), Status::E_CMD_ABORTED);
     }
 
-    pub(super) fn fast_stop(&mut self) {
+    pub(crate) fn fast_stop(&mut self) {
         self.fast_stop_with(None, Status::E_CMD_ABORTED);
     }
 
     /// Triggers a FAST STOP outside the soft limits (`fw4-en 3.3.5`). Only 21h has a specific status for this cause.
-    pub(super) fn left_soft_limits(&mut self) {
+    pub(crate) fn left_soft_limits(&mut self) {
         let moves = self.running.as_ref().is_some_and(|running| running.kind == MotionKind::Move);
         self.fast_stop_with(None, if moves { Status::E_RANGE_ERROR } else { Status::E_CMD_ABORTED });
     }

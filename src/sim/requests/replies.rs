@@ -4,16 +4,16 @@ use std::time::{Duration, Instant};
 
 use wsg::{Data, Reply, Status, id};
 
-use super::Device;
-use super::faults::{FaultKind, FaultName, FaultStage};
-use super::outbox::Outgoing;
+use crate::Device;
+use crate::link::faults::{FaultKind, FaultName, FaultStage};
+use crate::link::outbox::Outgoing;
 
 /// Limit of delayed results; further ones are sent at once.
 const MAX_LATE_RESULTS: usize = 64;
 
 /// A request that waits for its reply.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct PendingReply {
+pub(crate) struct PendingReply {
     pub id: u8,
     connection: u64,
     /// `E_CMD_PENDING` was sent or suppressed, so the result is the second step.
@@ -23,19 +23,19 @@ pub(super) struct PendingReply {
 
 /// A result delayed by a fault.
 #[derive(Debug)]
-pub(super) struct Late {
+pub(crate) struct Late {
     pub at: Instant,
     ticket: PendingReply,
     reply: Reply,
 }
 
 impl Device {
-    pub(super) fn ticket(&self, id: u8) -> PendingReply {
+    pub(crate) fn ticket(&self, id: u8) -> PendingReply {
         PendingReply { id, connection: self.connection, two_step: false, owes_pending: false }
     }
 
     /// Sends `E_CMD_PENDING`, and returns the ticket for the result.
-    pub(super) fn pending(&mut self, id: u8) -> PendingReply {
+    pub(crate) fn pending(&mut self, id: u8) -> PendingReply {
         let mut ticket = PendingReply { two_step: true, ..self.ticket(id) };
         match self.faults.take(id, FaultStage::Pending) {
             None => self.send(id, &Reply::Status(Status::E_CMD_PENDING), false),
@@ -49,22 +49,22 @@ impl Device {
     }
 
     /// Answers a one-step request.
-    pub(super) fn answer(&mut self, id: u8, reply: Reply) {
+    pub(crate) fn answer(&mut self, id: u8, reply: Reply) {
         let ticket = self.ticket(id);
         self.result(ticket, reply);
     }
 
-    pub(super) fn answer_status(&mut self, id: u8, status: Status) {
+    pub(crate) fn answer_status(&mut self, id: u8, status: Status) {
         let ticket = self.ticket(id);
         self.result_status(ticket, status);
     }
 
-    pub(super) fn result_status(&mut self, ticket: PendingReply, status: Status) {
+    pub(crate) fn result_status(&mut self, ticket: PendingReply, status: Status) {
         let success = status == Status::E_SUCCESS;
         self.result(ticket, if success { Reply::Success(Data::None) } else { Reply::Status(status) });
     }
 
-    pub(super) fn result(&mut self, ticket: PendingReply, reply: Reply) {
+    pub(crate) fn result(&mut self, ticket: PendingReply, reply: Reply) {
         let mut failed = reply.status() != Status::E_SUCCESS;
         let fault = self
             .faults
@@ -90,7 +90,7 @@ impl Device {
         self.command_failed = failed;
     }
 
-    pub(super) fn send_late(&mut self) {
+    pub(crate) fn send_late(&mut self) {
         while let Some(index) = self.late.iter().position(|late| late.at <= self.clock) {
             let late = self.late.remove(index);
             self.deliver(late.ticket, &late.reply);
@@ -107,7 +107,7 @@ impl Device {
         }
     }
 
-    pub(super) fn send(&mut self, id: u8, reply: &Reply, is_update: bool) {
+    pub(crate) fn send(&mut self, id: u8, reply: &Reply, is_update: bool) {
         if self.link.is_none() || self.is_cut || self.booting_until.is_some() {
             return;
         }

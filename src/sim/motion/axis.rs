@@ -26,14 +26,14 @@ pub enum AxisDirection {
 }
 
 impl AxisDirection {
-    pub(super) const fn sign(self) -> f64 {
+    pub(crate) const fn sign(self) -> f64 {
         match self {
             Self::Closing => -1.0,
             Self::Opening => 1.0,
         }
     }
 
-    pub(super) const fn opposite(self) -> Self {
+    pub(crate) const fn opposite(self) -> Self {
         match self {
             Self::Closing => Self::Opening,
             Self::Opening => Self::Closing,
@@ -41,14 +41,14 @@ impl AxisDirection {
     }
 
     /// Direction from one width to another. Equal widths count as closing.
-    pub(super) fn towards(from_mm: f64, to_mm: f64) -> Self {
+    pub(crate) fn towards(from_mm: f64, to_mm: f64) -> Self {
         if to_mm > from_mm { Self::Opening } else { Self::Closing }
     }
 }
 
 /// Target and limits of a motion.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Drive {
+pub(crate) struct Drive {
     pub target_mm: f64,
     pub speed_mm_s: f64,
     pub acceleration_mm_s2: f64,
@@ -57,7 +57,7 @@ pub(super) struct Drive {
 
 /// Outcome of a step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Progress {
+pub(crate) enum Progress {
     Moving,
     /// The fingers are at the target.
     Reached,
@@ -66,7 +66,7 @@ pub(super) enum Progress {
 }
 
 #[derive(Debug)]
-pub(super) struct Axis {
+pub(crate) struct Axis {
     /// True distance between the jaws.
     pub position_mm: f64,
     /// Positive while opening.

@@ -5,9 +5,9 @@ use std::time::Instant;
 use wsg::{Reply, Status};
 
 use super::Device;
-use super::axis::STEP;
-use super::faults::FaultName;
+use super::link::faults::FaultName;
 use super::motion::StepOutcome;
+use super::motion::axis::STEP;
 
 impl Device {
     /// Advances time to `now`.

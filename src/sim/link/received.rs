@@ -16,7 +16,7 @@ pub struct ReceivedFrame {
 }
 
 #[derive(Debug, Default)]
-pub(super) struct ReceivedLog {
+pub(crate) struct ReceivedLog {
     frames: Vec<ReceivedFrame>,
     pub total: u64,
 }

@@ -4,12 +4,12 @@ use wsg::{
     Acceleration, Command, CustomCommand, Data, Finger, Force, InvalidRequest, Reply, Status, Temperature, Updates, id,
 };
 
-use super::Device;
-use super::config::{Generation, ScriptAnswer};
+use crate::Device;
+use crate::config::{Generation, ScriptAnswer};
 
 impl Device {
     /// Handles a request with a correct checksum.
-    pub(super) fn request(&mut self, id: u8, command: Result<Command, InvalidRequest>) {
+    pub(crate) fn request(&mut self, id: u8, command: Result<Command, InvalidRequest>) {
         if self.outbox.is_full() {
             self.refused_requests += 1;
             if id == id::FAST_STOP {

@@ -11,7 +11,7 @@ pub const MAX_QUEUED_REPLIES: usize = MAX_QUEUED_FRAMES - 16;
 
 /// A queued frame.
 #[derive(Debug, Clone)]
-pub(super) struct Outgoing {
+pub(crate) struct Outgoing {
     pub id: u8,
     pub is_update: bool,
     pub at: Instant,
@@ -19,7 +19,7 @@ pub(super) struct Outgoing {
 }
 
 #[derive(Debug, Default)]
-pub(super) struct ReplyQueue {
+pub(crate) struct ReplyQueue {
     frames: VecDeque<Outgoing>,
     replies: usize,
     pub dropped_updates: u64,

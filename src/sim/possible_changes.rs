@@ -3,7 +3,7 @@
 use wsg::SystemLimits;
 
 use super::Change;
-use super::world::{RIGID_N_MM, SOFTEST_N_MM};
+use super::motion::world::{RIGID_N_MM, SOFTEST_N_MM};
 
 /// Absolute zero and the largest value of 46h, in °C.
 const TEMPERATURES_C: [f64; 2] = [-273.1, i16::MAX as f64 / 10.0];

@@ -15,7 +15,7 @@ const CONTACT_SHARE: f64 = 0.05;
 
 /// A grip in progress.
 #[derive(Debug, Clone)]
-pub(super) struct Grip {
+pub(crate) struct Grip {
     drive: Drive,
     direction: AxisDirection,
     /// Bounds of the widths at which a part is recognised.
@@ -26,7 +26,7 @@ pub(super) struct Grip {
 
 /// Outcome of a grip's step.
 #[derive(Debug)]
-pub(super) enum GripProgress {
+pub(crate) enum GripProgress {
     NotYet { pressing: Option<AxisDirection> },
     Held(Hold),
     Nothing { blocked: Option<AxisDirection> },
@@ -70,7 +70,7 @@ impl Grip {
 
 /// A part held with the gripping force.
 #[derive(Debug)]
-pub(super) struct Hold {
+pub(crate) struct Hold {
     drive: Drive,
     direction: AxisDirection,
     without_contact: u32,

@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use wsg::{Reply, Status, frame};
 
-use super::Device;
-use super::faults::FaultName;
+use crate::Device;
+use crate::link::faults::FaultName;
 
 /// What a broken getter sends instead of its value, in replies and in automatic updates.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -26,16 +26,16 @@ pub enum BrokenGetter {
 
 /// Broken getters by id.
 #[derive(Debug, Default)]
-pub(super) struct BrokenGetters(BTreeMap<u8, BrokenGetter>);
+pub(crate) struct BrokenGetters(BTreeMap<u8, BrokenGetter>);
 
 impl BrokenGetters {
-    pub(super) fn mend(&mut self) {
+    pub(crate) fn mend(&mut self) {
         self.0.clear();
     }
 }
 
 impl Device {
-    pub(super) fn break_getter(&mut self, id: u8, how: BrokenGetter) {
+    pub(crate) fn break_getter(&mut self, id: u8, how: BrokenGetter) {
         self.broken_getters.0.insert(id, how);
     }
 

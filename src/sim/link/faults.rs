@@ -15,7 +15,7 @@ pub enum FaultKind {
     CorruptChecksum,
     /// The size field arrives as FFFFh.
     CorruptSize,
-    /// Half a frame arrives, then nothing more until [`Change::Silent`](super::Change::Silent) ends the silence or a
+    /// Half a frame arrives, then nothing more until [`Change::Silent`](crate::Change::Silent) ends the silence or a
     /// client reconnects.
     HalfFrame,
     /// Garbage bytes precede the frame.
@@ -58,7 +58,7 @@ pub enum FaultKind {
 
 macro_rules! fault_names {
     ($($name:ident)*) => {
-        /// Kinds of faults, for counting. [`FaultKind`] describes the armed ones, [`Change`](super::Change) the others.
+        /// Kinds of faults, for counting. [`FaultKind`] describes the armed ones, [`Change`](crate::Change) the others.
         #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
         #[serde(rename_all = "snake_case")]
         #[allow(missing_docs, reason = "the names explain themselves")]
@@ -120,7 +120,7 @@ impl FaultKind {
 
 /// Stage in the handling of a frame at which a fault strikes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum FaultStage {
+pub(crate) enum FaultStage {
     /// Before the request is processed.
     Request,
     /// Instead of `E_CMD_PENDING`.
@@ -153,7 +153,7 @@ impl FaultCounts {
         FaultName::ALL.iter().map(|&name| (name, self.of(name)))
     }
 
-    pub(super) fn add(&mut self, name: FaultName) {
+    pub(crate) fn add(&mut self, name: FaultName) {
         self.0[name as usize] += 1;
     }
 }
@@ -166,7 +166,7 @@ struct Armed {
 }
 
 #[derive(Debug, Default)]
-pub(super) struct Faults {
+pub(crate) struct Faults {
     armed: Vec<Armed>,
     pub counts: FaultCounts,
 }
