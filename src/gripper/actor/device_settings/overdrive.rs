@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use super::super::handle::ResultSender;
+use crate::handle::ResultSender;
 use model::error::{Failure, Rejection};
 use wsg::{Data, SystemState};
 
@@ -10,7 +10,7 @@ use wsg::{Data, SystemState};
 const FLAGS_WITHIN: Duration = Duration::from_millis(500);
 
 #[derive(Debug, Default)]
-pub(super) struct Overdrive {
+pub(in crate::actor) struct Overdrive {
     is_wanted: bool,
     /// Requests that wait for the flags, each with the end of its wait.
     waiting: Vec<(Instant, ResultSender<Data>)>,
@@ -18,18 +18,18 @@ pub(super) struct Overdrive {
 
 impl Overdrive {
     /// Waits for the flags, after the device has accepted a request to switch.
-    pub(super) fn requested(&mut self, now: Instant, on: bool, answer: ResultSender<Data>) {
+    pub(in crate::actor) fn requested(&mut self, now: Instant, on: bool, answer: ResultSender<Data>) {
         self.is_wanted = on;
         self.waiting.push((now + FLAGS_WITHIN, answer));
     }
 
     /// Leaves Overdrive Mode off after a restart of the device. Returns whether a client had switched it on.
-    pub(super) fn give_up(&mut self) -> bool {
+    pub(in crate::actor) fn give_up(&mut self) -> bool {
         std::mem::take(&mut self.is_wanted)
     }
 
     /// Answers the requests that the flags show as done. A caller that has gone gets no reply.
-    pub(super) fn answer(&mut self, flags: Option<SystemState>) {
+    pub(in crate::actor) fn answer(&mut self, flags: Option<SystemState>) {
         if let Some(flags) = flags.filter(|flags| flags.contains(SystemState::OVERDRIVE_MODE) == self.is_wanted) {
             for (_, answer) in self.waiting.drain(..) {
                 let _ = answer.send(Ok(Data::SystemState(flags)));
@@ -37,20 +37,20 @@ impl Overdrive {
         }
     }
 
-    pub(super) fn reject_all(&mut self, rejection: &Rejection) {
+    pub(in crate::actor) fn reject_all(&mut self, rejection: &Rejection) {
         for (_, answer) in self.waiting.drain(..) {
             let _ = answer.send(Err(rejection.clone()));
         }
     }
 
-    pub(super) fn expire(&mut self, now: Instant) {
+    pub(in crate::actor) fn expire(&mut self, now: Instant) {
         for (_, answer) in self.waiting.extract_if(.., |(until, _)| *until <= now) {
             let detail = "the flags do not show that Overdrive Mode was switched".to_owned();
             let _ = answer.send(Err(Failure::DeviceProtocol { command: "OverdriveMode", detail }.into()));
         }
     }
 
-    pub(super) fn next_timeout(&self) -> Option<Instant> {
+    pub(in crate::actor) fn next_timeout(&self) -> Option<Instant> {
         self.waiting.iter().map(|(until, _)| *until).min()
     }
 }

@@ -4,10 +4,10 @@
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-use super::super::Now;
-use super::super::setup::Setting;
-use super::Actor;
-use super::link::Purpose;
+use crate::Now;
+use crate::actor::Actor;
+use crate::actor::link::Purpose;
+use crate::setup::Setting;
 use model::Client;
 use wsg::session::End;
 use wsg::{Command, Reply, Status};
@@ -17,30 +17,30 @@ const READ_EVERY: Duration = Duration::from_secs(1);
 
 /// Settings to be read back, each with the client that requested it.
 #[derive(Debug, Default)]
-pub(super) struct Unconfirmed {
+pub(in crate::actor) struct Unconfirmed {
     settings: BTreeMap<Setting, Client>,
     read_at: Option<Instant>,
 }
 
 impl Unconfirmed {
-    pub(super) fn add(&mut self, now: Instant, setting: Setting, client: Client) {
+    pub(in crate::actor) fn add(&mut self, now: Instant, setting: Setting, client: Client) {
         self.settings.insert(setting, client);
         self.read_at.get_or_insert(now);
     }
 
     /// Forgets everything, because the setup of a link compares all settings.
-    pub(super) fn forget(&mut self) {
+    pub(in crate::actor) fn forget(&mut self) {
         *self = Self::default();
     }
 
-    pub(super) fn next_timeout(&self) -> Option<Instant> {
+    pub(in crate::actor) fn next_timeout(&self) -> Option<Instant> {
         self.read_at
     }
 }
 
 impl Actor {
     /// Notes a setting whose request was written and not answered.
-    pub(super) fn note_unanswered(&mut self, now: Now, command: &Command, client: &Client, end: &End) {
+    pub(in crate::actor) fn note_unanswered(&mut self, now: Now, command: &Command, client: &Client, end: &End) {
         let was_written = matches!(end, End::Unanswered { written: true, .. } | End::NoResult { .. });
         let is_setter = !command.is_read();
         if let Some(setting) = Setting::of(command.id()).filter(|_| was_written && is_setter) {
@@ -48,11 +48,11 @@ impl Actor {
         }
     }
 
-    pub(super) fn unconfirmed_due(&self) -> Option<Instant> {
+    pub(in crate::actor) fn unconfirmed_due(&self) -> Option<Instant> {
         self.unconfirmed.next_timeout().filter(|_| self.is_in_use())
     }
 
-    pub(super) fn read_unconfirmed(&mut self, now: Now) {
+    pub(in crate::actor) fn read_unconfirmed(&mut self, now: Now) {
         let settings: Vec<_> = self.unconfirmed.settings.keys().copied().collect();
         self.unconfirmed.read_at = (!settings.is_empty()).then_some(now.instant + READ_EVERY);
         for setting in settings {
@@ -67,7 +67,7 @@ impl Actor {
     }
 
     /// Takes a setting that was read back.
-    pub(super) fn unconfirmed_ended(&mut self, now: Now, setting: Setting, end: End) {
+    pub(in crate::actor) fn unconfirmed_ended(&mut self, now: Now, setting: Setting, end: End) {
         let End::Reply(reply) = end else { return };
         let Some(client) = self.unconfirmed.settings.remove(&setting) else { return };
         self.reads.forget();

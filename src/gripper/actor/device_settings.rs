@@ -1,5 +1,9 @@
 //! Settings of the device: the values that clients have set, and its limits.
 
+mod device_tag;
+mod overdrive;
+pub(super) mod unconfirmed;
+
 use std::collections::BTreeSet;
 
 use super::super::Now;
@@ -7,11 +11,11 @@ use super::super::info::has_temperature;
 use super::super::limits::Limits;
 use super::super::observed::Observed;
 use super::super::setup::{Setting, Setup, Wanted, WantedSoftLimits};
-use super::overdrive::Overdrive;
 use super::recording::Recording;
-use super::tag::TagWrites;
+use device_tag::TagWrites;
 use model::error::Conflict;
 use model::{Client, Detail, SettingChange, SettingsEvent};
+use overdrive::Overdrive;
 use wsg::{Command, Data, Finger, SystemInfo, SystemState};
 
 #[derive(Debug, Default)]

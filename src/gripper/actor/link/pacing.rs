@@ -3,10 +3,10 @@
 
 use std::time::{Duration, Instant};
 
-use super::super::Now;
-use super::super::automatic_updates;
-use super::Actor;
-use super::link::Purpose;
+use super::Purpose;
+use crate::Now;
+use crate::actor::Actor;
+use crate::automatic_updates;
 use model::UpdateRules;
 
 /// Period of measuring the round trip.
@@ -23,7 +23,7 @@ const LONGEST_PERIOD_MS: u16 = 560;
 
 /// The pace of the updates on the current link.
 #[derive(Debug, Default)]
-pub(super) struct Pacing {
+pub(in crate::actor) struct Pacing {
     /// Period in ms that the updates were slowed down to; 0 if they were not.
     slowed_to_ms: u16,
     /// Whether the last round trip was long. A single one can come from a short disturbance.
@@ -33,13 +33,13 @@ pub(super) struct Pacing {
 
 impl Actor {
     /// Rules of the updates on the current link.
-    pub(super) fn update_rules(&self) -> UpdateRules {
+    pub(in crate::actor) fn update_rules(&self) -> UpdateRules {
         let rules = self.config.rules.updates;
         UpdateRules { min_period_ms: rules.min_period_ms.max(self.pacing.slowed_to_ms), ..rules }
     }
 
     /// Begins to measure a link of unknown rate.
-    pub(super) fn start_pacing(&mut self, now: Now) {
+    pub(in crate::actor) fn start_pacing(&mut self, now: Now) {
         if std::mem::take(&mut self.pacing).slowed_to_ms > 0 {
             self.set_pace();
         }
@@ -47,12 +47,12 @@ impl Actor {
         self.pacing.measured_at = is_unknown.then(|| now.instant + MEASURED_EVERY);
     }
 
-    pub(super) fn round_trip_due(&self) -> Option<Instant> {
+    pub(in crate::actor) fn round_trip_due(&self) -> Option<Instant> {
         self.pacing.measured_at.filter(|_| self.is_in_use())
     }
 
     /// Measures the round trip once more.
-    pub(super) fn measure_round_trip(&mut self, now: Now) {
+    pub(in crate::actor) fn measure_round_trip(&mut self, now: Now) {
         self.pacing.measured_at = Some(now.instant + MEASURED_EVERY);
         let Some(session) = &mut self.link.session else { return };
         session.probe();
@@ -62,7 +62,7 @@ impl Actor {
     }
 
     /// Takes a round trip of Loop.
-    pub(super) fn took_round_trip(&mut self, now: Now, round_trip: Duration) {
+    pub(in crate::actor) fn took_round_trip(&mut self, now: Now, round_trip: Duration) {
         if self.round_trip_due().is_none() {
             return;
         }

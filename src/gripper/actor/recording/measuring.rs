@@ -5,15 +5,15 @@ use std::time::{Duration, Instant};
 
 use jiff::Timestamp;
 
-use super::super::Now;
-use super::super::curve::{Contact, MotionCurve, TAIL};
-use super::super::recorder::Record;
-use super::recording::Recording;
+use super::Recording;
+use crate::Now;
+use crate::curve::{Contact, MotionCurve, TAIL};
+use crate::recorder::Record;
 use model::{CommandId, CommandReport, GripRecord, Motion, Outcome, PartId, Values};
 
 /// A motion being measured.
 #[derive(Debug)]
-pub(super) struct MeasuredMotion {
+pub(in crate::actor) struct MeasuredMotion {
     id: CommandId,
     part_id: Option<PartId>,
     serial_number: Option<u32>,
@@ -27,7 +27,7 @@ pub(super) struct MeasuredMotion {
 }
 
 impl Recording {
-    pub(super) fn start_measuring(&mut self, id: CommandId, motion: &Motion, serial_number: Option<u32>) {
+    pub(in crate::actor) fn start_measuring(&mut self, id: CommandId, motion: &Motion, serial_number: Option<u32>) {
         self.finish_measuring();
         let part_id = match motion {
             Motion::Grip { part_id, .. } => part_id.clone(),
@@ -39,7 +39,7 @@ impl Recording {
     }
 
     /// Takes a sample, if all values are known.
-    pub(super) fn measure(&mut self, now: Now, values: &Values) {
+    pub(in crate::actor) fn measure(&mut self, now: Now, values: &Values) {
         let Some(measured) = &mut self.measured else { return };
         if let (Some(width), Some(speed), Some(force)) =
             (values.width_mm(now.instant), values.speed_mm_s(now.instant), values.force_n(now.instant))
@@ -56,19 +56,19 @@ impl Recording {
 
     /// Determines the contact of a grip that has ended with a part, and returns its width in mm. The record of the grip
     /// has the same contact, however the force develops afterwards.
-    pub(super) fn judge_contact(&mut self, id: CommandId) -> Option<f32> {
+    pub(in crate::actor) fn judge_contact(&mut self, id: CommandId) -> Option<f32> {
         let measured = self.measured.as_mut().filter(|measured| measured.id == id)?;
         measured.contact = measured.curve.contact();
         measured.contact.map(|contact| contact.width_mm)
     }
 
     /// Force with the greatest magnitude that was measured during this command, in N.
-    pub(super) fn peak_force_n(&self, id: CommandId) -> Option<f32> {
+    pub(in crate::actor) fn peak_force_n(&self, id: CommandId) -> Option<f32> {
         self.measured.as_ref().filter(|measured| measured.id == id)?.curve.peak_force_n()
     }
 
     /// End of the current curve's tail.
-    pub(super) fn curve_ends_at(&self) -> Option<Instant> {
+    pub(in crate::actor) fn curve_ends_at(&self) -> Option<Instant> {
         Some(self.measured.as_ref()?.ended.as_ref()?.0)
     }
 
@@ -83,7 +83,7 @@ impl Recording {
     }
 
     /// Records the curve so far.
-    pub(super) fn finish_measuring(&mut self) {
+    pub(in crate::actor) fn finish_measuring(&mut self) {
         let Some(measured) = self.measured.take() else { return };
         let MeasuredMotion { part_id, serial_number, curve, measured_at, contact, ended: Some((_, command)), .. } =
             measured

@@ -12,7 +12,7 @@ const WRITE_EVERY: Duration = Duration::from_secs(1);
 const KNOWN_FOR: Duration = Duration::from_mins(1);
 
 #[derive(Debug, Default)]
-pub(super) struct TagWrites {
+pub(in crate::actor) struct TagWrites {
     written_at: Option<Instant>,
     /// Time at which the tag was read back on this link.
     known_at: Option<Instant>,
@@ -20,12 +20,12 @@ pub(super) struct TagWrites {
 
 impl TagWrites {
     /// Notes that the tag was read back.
-    pub(super) fn read_back(&mut self, now: Instant) {
+    pub(in crate::actor) fn read_back(&mut self, now: Instant) {
         self.known_at = Some(now);
     }
 
     /// Forgets that the tag is known, because the link was lost.
-    pub(super) fn forget(&mut self) {
+    pub(in crate::actor) fn forget(&mut self) {
         self.known_at = None;
     }
 
@@ -33,12 +33,12 @@ impl TagWrites {
     ///
     /// # Errors
     /// [`Failure::FlashWear`] if the last write was less than [`WRITE_EVERY`] ago.
-    pub(super) fn begin(&mut self, now: Instant, tag: &DeviceTag, is_known: bool) -> Result<bool, Failure> {
+    pub(in crate::actor) fn begin(&mut self, now: Instant, tag: &DeviceTag, is_known: bool) -> Result<bool, Failure> {
         if is_known && self.known_at.is_some_and(|at| now < at + KNOWN_FOR) {
             return Ok(false);
         }
         if self.written_at.is_some_and(|at| now < at + WRITE_EVERY) {
-            let command = super::name_of(&Command::SetDeviceTag(tag.clone()));
+            let command = crate::actor::name_of(&Command::SetDeviceTag(tag.clone()));
             return Err(Failure::FlashWear { command, every_ms: WRITE_EVERY.as_millis() as u64 });
         }
         *self = Self { written_at: Some(now), known_at: None };

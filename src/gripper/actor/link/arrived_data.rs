@@ -16,7 +16,7 @@ pub struct Arrived {
 }
 
 impl Arrived {
-    pub(super) fn at(session: &Session) -> Self {
+    pub(in crate::actor) fn at(session: &Session) -> Self {
         let received = session.decoder_counters();
         let counters = session.counters();
         Self {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use tokio::sync::broadcast;
 
-use super::super::Now;
+use crate::Now;
 use model::{DamageRecord, FrameDirection, FrameRecord, Name, WireDamage, WireRecord};
 use wsg::frame::{HEADER_BYTES, OVERHEAD_BYTES};
 use wsg::text::{WireDirection, describe, describe_damaged, describe_skipped};
@@ -18,7 +18,7 @@ const MAX_BEHIND: usize = 1024;
 const MAX_SHOWN_BYTES: usize = 256;
 
 #[derive(Debug)]
-pub(super) struct WireLog {
+pub(in crate::actor) struct WireLog {
     gripper: Name,
     listeners: broadcast::Sender<Arc<WireRecord>>,
     /// Sequence number of the newest record.
@@ -42,7 +42,7 @@ struct ReceivedBytes {
 }
 
 impl WireLog {
-    pub(super) fn new(gripper: Name) -> Self {
+    pub(in crate::actor) fn new(gripper: Name) -> Self {
         let listeners = broadcast::Sender::new(MAX_BEHIND);
         Self { gripper, listeners, seq: 0, received: None, is_at_start: true }
     }
@@ -52,7 +52,7 @@ impl WireLog {
     }
 
     /// Logs one complete frame.
-    pub(super) fn sent(&mut self, now: Now, bytes: &[u8]) {
+    pub(in crate::actor) fn sent(&mut self, now: Now, bytes: &[u8]) {
         if self.listeners.receiver_count() == 0 {
             return;
         }
@@ -66,7 +66,7 @@ impl WireLog {
     }
 
     /// Logs the frames in received bytes, and the bytes that are not part of a valid frame.
-    pub(super) fn received(&mut self, now: Now, bytes: &[u8]) {
+    pub(in crate::actor) fn received(&mut self, now: Now, bytes: &[u8]) {
         let is_at_start = std::mem::take(&mut self.is_at_start);
         if self.listeners.receiver_count() == 0 {
             self.received = None;
@@ -107,7 +107,7 @@ impl WireLog {
     }
 
     /// Drops partial frames of the previous link.
-    pub(super) fn link_up(&mut self) {
+    pub(in crate::actor) fn link_up(&mut self) {
         self.received = None;
         self.is_at_start = true;
     }

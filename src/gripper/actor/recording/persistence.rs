@@ -3,15 +3,15 @@
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use super::super::Now;
-use super::super::last_command::LastCommand;
-use super::super::latch::LatchState;
-use super::super::lease::{Holder, LeaseState};
-use super::super::observed::HeldPart;
-use super::super::recorder::{Record, RestoredState};
-use super::super::setup::{Wanted, WantedSoftLimits};
-use super::Actor;
-use super::recording::Recording;
+use super::Recording;
+use crate::Now;
+use crate::actor::Actor;
+use crate::last_command::LastCommand;
+use crate::latch::LatchState;
+use crate::lease::{Holder, LeaseState};
+use crate::observed::HeldPart;
+use crate::recorder::{Record, RestoredState};
+use crate::setup::{Wanted, WantedSoftLimits};
 use model::{CommandId, FastStopId, Latch, PersistedKey, PersistedState};
 use wsg::{Acceleration, Force, SoftLimits, Width};
 
@@ -147,7 +147,7 @@ struct ClearedLatch {
 
 /// State as last persisted.
 #[derive(Debug, Default)]
-pub(super) struct LastReported {
+pub(in crate::actor) struct LastReported {
     latch: (u64, Option<FastStopId>),
     lease: PersistedLease,
     grip: Option<CommandId>,
@@ -195,7 +195,7 @@ impl Actor {
         self.after_input(now);
     }
 
-    pub(super) fn persist_settings(&mut self) {
+    pub(in crate::actor) fn persist_settings(&mut self) {
         let settings = PersistedSettings::new(self.settings.known_serial, &self.settings.wanted);
         self.recording.persist(PersistedKey::Settings, Some(&settings));
     }
@@ -219,7 +219,7 @@ impl Recording {
     }
 
     /// Persists changes of the latch, the lease, the held part and the newest motion.
-    pub(super) fn persist_changes(
+    pub(in crate::actor) fn persist_changes(
         &mut self,
         latch: &LatchState,
         lease: &LeaseState,

@@ -3,10 +3,10 @@
 
 use std::time::{Duration, Instant};
 
-use super::super::Now;
-use super::super::handle::Ticket;
-use super::Actor;
-use super::recording::Recording;
+use super::Recording;
+use crate::Now;
+use crate::actor::Actor;
+use crate::handle::Ticket;
 use model::error::{Failure, Rejection};
 use model::{Client, CommandId, Detail, Event, FastStopEvent, Outcome, Submission};
 
@@ -19,7 +19,7 @@ const MAX_CLIENTS: usize = 16;
 
 /// Requests that were recorded within the last second.
 #[derive(Debug, Default)]
-pub(super) struct Repeats {
+pub(in crate::actor) struct Repeats {
     fast_stops: Option<FastStops>,
     /// Stops that had nothing to stop, and the time until which another Stop of the same client counts as a repetition.
     stops: Vec<(Instant, Client, CommandId)>,
@@ -69,7 +69,7 @@ impl Repeats {
         self.stops.iter().find(|(_, stopper, _)| stopper == client).map(|(.., id)| *id)
     }
 
-    pub(super) fn next_timeout(&self) -> Option<Instant> {
+    pub(in crate::actor) fn next_timeout(&self) -> Option<Instant> {
         self.fast_stops.as_ref().map(|second| second.until)
     }
 }
@@ -87,7 +87,7 @@ impl Recording {
     }
 
     /// Records the counted FAST STOPs: the newest, with the count.
-    pub(super) fn record_repeats(&mut self) {
+    pub(in crate::actor) fn record_repeats(&mut self) {
         let Some(FastStops { more, newest, confirmed, .. }) = self.repeats.fast_stops.take() else { return };
         if let Some(Event { detail: Detail::FastStop(fast_stop), .. }) = &newest {
             let detail = Detail::FastStop(FastStopEvent { count: more, ..fast_stop.clone() });
@@ -100,7 +100,7 @@ impl Recording {
 
 impl Actor {
     /// An earlier Stop of the same client within a second, while there is nothing to stop.
-    pub(super) fn repeated_stop(&mut self, now: Now, submission: &Submission) -> Option<Ticket> {
+    pub(in crate::actor) fn repeated_stop(&mut self, now: Now, submission: &Submission) -> Option<Ticket> {
         if submission.request_id.is_some() || self.check_link().is_err() || self.is_moving(now.instant) {
             return None;
         }
@@ -110,7 +110,7 @@ impl Actor {
     }
 
     /// For a Stop that found the queue full, the newest pending Stop, which stops the fingers as well.
-    pub(super) fn join_stop(&mut self, now: Now, not_taken: Rejection) -> Result<Ticket, Rejection> {
+    pub(in crate::actor) fn join_stop(&mut self, now: Now, not_taken: Rejection) -> Result<Ticket, Rejection> {
         let is_full = matches!(not_taken, Rejection::Failure(Failure::Overloaded { .. }));
         let ticket =
             self.link.newest_stop().filter(|_| is_full).and_then(|id| self.commands.find(id)).ok_or(not_taken)?;
@@ -119,7 +119,7 @@ impl Actor {
     }
 
     /// Notes an admitted Stop that had nothing to stop.
-    pub(super) fn note_stop(&mut self, now: Now, client: &Client, id: CommandId) {
+    pub(in crate::actor) fn note_stop(&mut self, now: Now, client: &Client, id: CommandId) {
         let stops = &mut self.recording.repeats.stops;
         if stops.len() < MAX_CLIENTS {
             stops.push((now.instant + COUNTED_FOR, client.clone(), id));

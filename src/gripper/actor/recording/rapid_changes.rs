@@ -5,8 +5,8 @@
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
-use super::super::Now;
-use super::recording::Recording;
+use super::Recording;
+use crate::Now;
 use model::{Detail, DeviceEvent, Event};
 
 /// Time for which changes are counted before they are recorded.
@@ -20,7 +20,7 @@ const MAX_KINDS: usize = 16;
 
 /// Changes within the current second.
 #[derive(Debug, Default)]
-pub(super) struct Flicker {
+pub(in crate::actor) struct Flicker {
     /// Kinds in the order of their last change.
     kinds: Vec<ChangeKind>,
     until: Option<Instant>,
@@ -76,14 +76,14 @@ impl Flicker {
         ((count > 0).then_some(DeviceEvent::Flickering { cause, count }), newest)
     }
 
-    pub(super) fn next_timeout(&self) -> Option<Instant> {
+    pub(in crate::actor) fn next_timeout(&self) -> Option<Instant> {
         self.until
     }
 }
 
 impl Recording {
     /// Records a change of the device or its link, now or with the counted ones. Returns whether it was recorded now.
-    pub(super) fn change_of_device(&mut self, now: Now, event: Event) -> bool {
+    pub(in crate::actor) fn change_of_device(&mut self, now: Now, event: Event) -> bool {
         let kind = kind_of(&event).filter(|_| event.command_id.is_none());
         let event = match kind {
             Some(kind) => self.flicker.take(now.instant, kind, event),
@@ -95,7 +95,7 @@ impl Recording {
     }
 
     /// Records the counted changes.
-    pub(super) fn record_flicker(&mut self, now: Now) {
+    pub(in crate::actor) fn record_flicker(&mut self, now: Now) {
         let (left_out, newest) = self.flicker.end(now.instant);
         if !newest.is_empty() {
             let changes: Vec<_> = newest.iter().filter_map(kind_of).collect();
