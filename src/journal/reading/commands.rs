@@ -9,18 +9,18 @@ use crate::model::{CommandEvent, CommandId, CommandReport, Done, Door, Name, Pha
 
 /// The parts of a `command` event that describe the command.
 #[derive(Debug, Deserialize)]
-pub(super) struct CommandBody {
-    pub(super) at: Timestamp,
-    pub(super) gripper: Name,
-    pub(super) subject: Arc<str>,
-    pub(super) door: Option<Door>,
-    pub(super) command_id: CommandId,
+pub(in crate::journal) struct CommandBody {
+    pub(in crate::journal) at: Timestamp,
+    pub(in crate::journal) gripper: Name,
+    pub(in crate::journal) subject: Arc<str>,
+    pub(in crate::journal) door: Option<Door>,
+    pub(in crate::journal) command_id: CommandId,
     #[serde(flatten)]
-    pub(super) event: CommandEvent,
+    pub(in crate::journal) event: CommandEvent,
 }
 
 impl CommandBody {
-    pub(super) fn command(self) -> CommandReport {
+    pub(in crate::journal) fn command(self) -> CommandReport {
         let kind = match &self.event {
             CommandEvent::Admitted(admitted) => admitted.command,
             CommandEvent::Done(done) => done.command,

@@ -6,17 +6,17 @@ use std::sync::{Arc, Mutex, PoisonError};
 use rusqlite::{Connection, InterruptHandle, OptionalExtension, params};
 use tokio::sync::Semaphore;
 
-use super::chain::Chain;
 use super::commands::command_of;
-use super::curve;
-use super::head::Head;
-use super::kept;
 use super::query::{Cursor, EventQuery, GripQuery, Page, grip, page};
-use super::recovery::{self, Recovered};
-use super::schema::{Content, content};
-use super::source::{JournalLocation, ReadError, Source, no_file};
 use super::statistics::{GripStatistics, SHARED_FROM, StatisticsQuery, statistics};
-use super::store::anchor;
+use crate::journal::chain::Chain;
+use crate::journal::curve;
+use crate::journal::head::Head;
+use crate::journal::kept_events;
+use crate::journal::recovery::{self, Recovered};
+use crate::journal::schema::{Content, content};
+use crate::journal::source::{JournalLocation, ReadError, Source, no_file};
+use crate::journal::store::anchor;
 use crate::model::{CommandId, CommandReport, Name, Sample};
 
 /// Maximum number of concurrent reads. More than there are cores would only wait longer.
@@ -49,20 +49,23 @@ impl Reader {
         }
     }
 
-    pub(super) fn connect(source: &Source) -> Result<Self, ReadError> {
+    pub(in crate::journal) fn connect(source: &Source) -> Result<Self, ReadError> {
         let connection = source.reading().map_err(|error| ReadError(source.describe(&error)))?;
         Ok(Self { source: source.clone(), connection })
     }
 
-    pub(super) fn connection(&self) -> &Connection {
+    pub(in crate::journal) fn connection(&self) -> &Connection {
         &self.connection
     }
 
-    pub(super) fn interrupt_handle(&self) -> InterruptHandle {
+    pub(in crate::journal) fn interrupt_handle(&self) -> InterruptHandle {
         self.connection.get_interrupt_handle()
     }
 
-    pub(super) fn with<T>(&self, read: impl FnOnce(&Connection) -> rusqlite::Result<T>) -> Result<T, ReadError> {
+    pub(in crate::journal) fn with<T>(
+        &self,
+        read: impl FnOnce(&Connection) -> rusqlite::Result<T>,
+    ) -> Result<T, ReadError> {
         read(&self.connection).map_err(|error| ReadError(self.source.describe(&error)))
     }
 
@@ -95,7 +98,7 @@ impl Reader {
             let after = query.cursor.map_or(0, Cursor::seq);
             let end = page.next_cursor.as_ref().and_then(|cursor| cursor.parse().ok()).map_or(until, Cursor::seq);
             let end = end.min(anchor(&now, Chain::Events)?.seq);
-            let removed = if end > after { end - after - kept::count(&now, after, end)? } else { 0 };
+            let removed = if end > after { end - after - kept_events::count(&now, after, end)? } else { 0 };
             Ok((removed, page))
         })
     }
@@ -156,7 +159,7 @@ impl Reader {
     }
 
     /// Returns the data of this run and of earlier ones.
-    pub(super) fn recall(&self) -> Result<Recovered, ReadError> {
+    pub(in crate::journal) fn recall(&self) -> Result<Recovered, ReadError> {
         self.with(recovery::recall)
     }
 
@@ -182,19 +185,19 @@ impl Reader {
 
 /// A pool of readers for asynchronous callers.
 #[derive(Debug, Clone)]
-pub(super) struct Pool {
+pub(in crate::journal) struct Pool {
     source: Arc<Source>,
     idle: Arc<Mutex<Vec<Reader>>>,
     permits: Arc<Semaphore>,
 }
 
 impl Pool {
-    pub(super) fn new(source: &Source) -> Self {
+    pub(in crate::journal) fn new(source: &Source) -> Self {
         let permits = Arc::new(Semaphore::new(READERS));
         Self { source: Arc::new(source.clone()), idle: Arc::default(), permits }
     }
 
-    pub(super) async fn read<T: Send + 'static>(
+    pub(in crate::journal) async fn read<T: Send + 'static>(
         &self,
         read: impl FnOnce(&Reader) -> Result<T, ReadError> + Send + 'static,
     ) -> Result<T, ReadError> {

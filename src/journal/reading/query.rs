@@ -9,9 +9,9 @@ use rusqlite::Connection;
 use rusqlite::types::Value;
 use strum::{EnumMessage, VariantArray};
 
-use super::chain::Chain;
-use super::row::{EventKind, Stored, milliseconds, word};
-use super::runs::{Run, runs};
+use super::time_ranges::{Run, runs};
+use crate::journal::chain::Chain;
+use crate::journal::row::{EventKind, Stored, milliseconds, word};
 use crate::model::{CommandId, Kind, Name, Outcome, PartId};
 
 pub type EventQuery = Query<EventKind>;
@@ -138,7 +138,7 @@ impl Cursor {
         Self(seq)
     }
 
-    pub(super) fn seq(self) -> i64 {
+    pub(in crate::journal) fn seq(self) -> i64 {
         self.0
     }
 }
@@ -173,7 +173,7 @@ pub struct Page {
 }
 
 /// The kinds of one chain's records.
-pub(super) trait ChainKind: Copy + PartialEq + serde::Serialize {
+pub(in crate::journal) trait ChainKind: Copy + PartialEq + serde::Serialize {
     const CHAIN: Chain;
     /// The kind of most records that have a part.
     const WITH_PART: Self;
@@ -265,13 +265,17 @@ impl Chain {
 }
 
 /// Reads the grip record of a command, in the form that pages have.
-pub(super) fn grip(connection: &Connection, id: CommandId) -> rusqlite::Result<Option<Arc<str>>> {
+pub(in crate::journal) fn grip(connection: &Connection, id: CommandId) -> rusqlite::Result<Option<Arc<str>>> {
     let filter = Filter { command_id: Some(id), ..Filter::default() };
     Ok(page(connection, &GripQuery { filter, ..GripQuery::default() }, i64::MAX)?.bodies.pop())
 }
 
 /// Reads a page of records up to `until`.
-pub(super) fn page<K: ChainKind>(connection: &Connection, query: &Query<K>, until: i64) -> rusqlite::Result<Page> {
+pub(in crate::journal) fn page<K: ChainKind>(
+    connection: &Connection,
+    query: &Query<K>,
+    until: i64,
+) -> rusqlite::Result<Page> {
     let cursor = query.cursor.map(|Cursor(seq)| seq);
     let Some(plan) = plan(&query.filter) else {
         return Ok(Page { resume_cursor: resume_after(query, None), ..Page::default() });

@@ -10,12 +10,12 @@ use rusqlite::{Connection, OptionalExtension as _, Row, params_from_iter};
 use serde::{Deserialize, Serialize};
 use strum::VariantArray as _;
 
-use super::row::milliseconds;
-use super::source::Source;
+use crate::journal::row::milliseconds;
+use crate::journal::source::Source;
 use crate::model::{Kind, Name, Outcome, PartId};
 
 /// SQL that creates the index. Files of earlier versions get it when they are opened for writing.
-pub(super) const INDEX: &str = "
+pub(in crate::journal) const INDEX: &str = "
 CREATE INDEX IF NOT EXISTS grips_statistics ON grips(
     part_id, at, gripper, outcome,
     body ->> '$.contact_width_mm', body ->> '$.force_n', body ->> '$.time_to_contact_ms'
@@ -26,7 +26,7 @@ CREATE INDEX IF NOT EXISTS grips_statistics ON grips(
 pub const NEWEST_WEIGHS: f64 = 0.2;
 
 /// Number of records from which two threads share the work.
-pub(super) const SHARED_FROM: i64 = 100_000;
+pub(in crate::journal) const SHARED_FROM: i64 = 100_000;
 
 /// Grips that statistics cover.
 #[derive(Debug, Clone, PartialEq)]
@@ -245,7 +245,7 @@ impl Tally {
 }
 
 /// Computes the statistics of the grips that a query covers. Two threads share a journal of `shared_from` records.
-pub(super) fn statistics(
+pub(in crate::journal) fn statistics(
     source: &Source,
     connection: &Connection,
     query: &StatisticsQuery,

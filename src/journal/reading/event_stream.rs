@@ -8,9 +8,9 @@ use tokio::sync::broadcast::error::RecvError;
 
 use super::query::{Cursor, EventQuery, Filter, Limit, Order};
 use super::reader::{Pool, Reader};
-use super::row::{EventKind, Stored};
-use super::shared::Shared;
-use super::source::ReadError;
+use crate::journal::row::{EventKind, Stored};
+use crate::journal::shared::Shared;
+use crate::journal::source::ReadError;
 
 /// Events read at once. Each of a thousand followers can hold this many if its client stops reading.
 const PAGE: u64 = 16;
@@ -44,7 +44,12 @@ pub struct EventStream {
 }
 
 impl EventStream {
-    pub(super) fn new(shared: &Arc<Shared>, pool: &Pool, after: Option<i64>, filter: Filter<EventKind>) -> Self {
+    pub(in crate::journal) fn new(
+        shared: &Arc<Shared>,
+        pool: &Pool,
+        after: Option<i64>,
+        filter: Filter<EventKind>,
+    ) -> Self {
         // Subscribes before it reads the newest number, so that no event is lost between the two. Repeats are skipped.
         let live = shared.subscribe();
         let until = shared.committed();

@@ -3,22 +3,22 @@
 use jiff::Timestamp;
 use rusqlite::{Connection, params};
 
-use super::chain::Chain;
 use super::query::Order;
-use super::row::milliseconds;
-use super::schema::SPAN_BITS;
+use crate::journal::chain::Chain;
+use crate::journal::row::milliseconds;
+use crate::journal::schema::SPAN_BITS;
 
 /// Sequence numbers that contain records of a time range.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Run {
-    pub(super) first: i64,
-    pub(super) last: i64,
+pub(in crate::journal) struct Run {
+    pub(in crate::journal) first: i64,
+    pub(in crate::journal) last: i64,
     /// Whether all of these records are within the time range.
-    pub(super) whole: bool,
+    pub(in crate::journal) whole: bool,
 }
 
 /// Returns the runs of a time range (from, to) between the sequence numbers `first` and `last`, in order.
-pub(super) fn runs(
+pub(in crate::journal) fn runs(
     connection: &Connection,
     chain: Chain,
     (from, to): (Option<Timestamp>, Option<Timestamp>),

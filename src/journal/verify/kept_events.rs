@@ -5,7 +5,7 @@ use serde::Deserialize as _;
 use serde_json::Value;
 
 use super::super::chain::{Chain, Hash, Tip, hash};
-use super::super::kept::{Share, beginning, kept_share, link};
+use super::super::kept_events::{Share, beginning, kept_share, link};
 use super::super::store::anchor;
 use super::Verifier;
 use super::walk::{PART, body_of, check_body};
