@@ -10,8 +10,8 @@ mod metrics;
 mod modbus;
 mod ports;
 mod reload;
+mod reloadable_settings;
 mod runtimes;
-mod settings;
 mod simulation;
 mod systemd;
 
@@ -140,8 +140,8 @@ pub async fn check_devices(config: &Config) -> Result<(), ConfigError> {
 /// # Errors
 /// The first file that the gateway could not start with, and the remedy.
 pub fn check_files(config: &Config) -> anyhow::Result<()> {
-    settings::of_http(config, config.listen.port(), None)?;
-    settings::of_access(config)?;
+    reloadable_settings::of_http(config, config.listen.port(), None)?;
+    reloadable_settings::of_access(config)?;
     Ok(())
 }
 
@@ -230,9 +230,9 @@ async fn start(
     let address = listener.local_addr()?;
     let ports = ports::bind(&config, shares.wsg_port)?;
     let modbus = modbus::bind(&config, shares.wsg_port)?;
-    let settings = http::SharedSettings::new(settings::of_http(&config, address.port(), None)?);
-    let access = Arc::new(Access::new(settings::of_access(&config)?));
-    settings::log_warnings(&config);
+    let settings = http::SharedSettings::new(reloadable_settings::of_http(&config, address.port(), None)?);
+    let access = Arc::new(Access::new(reloadable_settings::of_access(&config)?));
+    reloadable_settings::log_warnings(&config);
     warn_of_exposure(&access);
     let (journal, recovered) = open_journal(&config).await?;
     let draining = CancellationToken::new();

@@ -21,12 +21,12 @@ use tokio_tungstenite::tungstenite::protocol::{Role, WebSocketConfig};
 use tokio_tungstenite::tungstenite::{Error as WsError, Message};
 use tokio_util::task::AbortOnDropHandle;
 
-use super::answered::{Answered, MessageResult, raw};
 use super::bodies;
-use super::end::{SocketEnd, TOO_LONG, end_of};
-use super::halves::{self, Inbound};
+use super::message_results::{Answered, MessageResult, raw};
 use super::outbox::Outbox;
 use super::rpc::{self, Incoming, RpcCall, RpcError, RpcMethod, RpcResponse};
+use super::socket_end::{SocketEnd, TOO_LONG, end_of};
+use super::split_connection::{self, Inbound};
 use super::writer::Writer;
 use crate::access::{Right, Visitor};
 use crate::connections::admission::{Claim, Class, ConnectionPermit, HeldBytes};
@@ -127,7 +127,7 @@ impl Socket {
         context: Context,
     ) -> io::Result<Box<Self>> {
         let runtimes = &context.runtimes;
-        let (reader, writer) = halves::split(stream, &runtimes.sockets, &runtimes.observers)?;
+        let (reader, writer) = split_connection::split(stream, &runtimes.sockets, &runtimes.observers)?;
         let outbox = Arc::new(Outbox::new(permit.as_ref().map(ConnectionPermit::held)));
         let inbound = Inbound::new(early, reader, outbox.clone(), permit.as_ref().map(ConnectionPermit::held));
         let writer = Writer::new(writer, outbox.clone(), context.metrics.clone());

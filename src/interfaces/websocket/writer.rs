@@ -9,8 +9,8 @@ use futures_util::FutureExt as _;
 use tokio::io::AsyncWriteExt as _;
 
 use super::bodies::Following;
-use super::halves::WritingHalf;
 use super::outbox::{Item, Outbox};
+use super::split_connection::WritingHalf;
 use crate::connections::metrics::InterfaceMetrics;
 use crate::events::{Notification, Pace, Subscription};
 

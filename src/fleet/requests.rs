@@ -20,8 +20,8 @@ use zenoh::sample::Locality;
 
 use super::Peers;
 use super::keys::{self, MAX_CLIENT_BYTES, ZenohKeys};
-use super::replies::{CollectedRoom, MAX_REPLY_BYTES, MAX_WAITING, ReplyFilter, WaitingReply};
-use super::twins::has_token;
+use super::name_conflicts::has_token;
+use super::reply_bounds::{CollectedRoom, MAX_REPLY_BYTES, MAX_WAITING, ReplyFilter, WaitingReply};
 use crate::gripper::Now;
 use crate::model::lease::MIN_TTL;
 use crate::model::{Client, Name, Text, Urgency};
