@@ -24,9 +24,9 @@ fn serial() -> String {
     format!("serial://pty?link={}", link.display())
 }
 
-conformance!(on_tcp, crate::transports::tcp());
-conformance!(on_udp, crate::transports::udp());
-conformance!(on_serial, crate::transports::serial(), run by crate::harness::on_pty);
+conformance!(on_tcp, crate::device_link::transports::tcp());
+conformance!(on_udp, crate::device_link::transports::udp());
+conformance!(on_serial, crate::device_link::transports::serial(), run by crate::harness::on_pty);
 
 #[tokio::test]
 async fn cut_on_udp_is_noticed() {

@@ -11,8 +11,8 @@ use wsg_gateway::transport::can::segment::{Reassembler, slices};
 use wsg_gateway::transport::{Address, Pipe};
 
 use crate::conformance::rig::SOON;
+use crate::device_link::transports::free_udp_port;
 use crate::recordings::{self, Exchange, TRANSPORTS};
-use crate::transports::free_udp_port;
 
 #[test]
 fn every_command_and_reply_is_as_recorded() {

@@ -308,7 +308,7 @@ async fn help_and_version_are_printed() {
 }
 
 #[allow(dead_code, reason = "Cargo runs its main function")]
-#[path = "../../deploy/build.rs"]
+#[path = "../../../deploy/build.rs"]
 mod build_script;
 
 #[test]

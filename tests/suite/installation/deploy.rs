@@ -73,7 +73,7 @@ async fn monitored_metrics_exist() {
 /// ModemManager sends AT commands to new serial ports.
 #[test]
 fn udev_rule_keeps_modem_manager_from_adapters() {
-    let rules = include_str!("../../deploy/udev/60-wsg-gateway.rules");
+    let rules = include_str!("../../../deploy/udev/60-wsg-gateway.rules");
     let rule = rules.lines().find(|line| line.contains("ID_MM_DEVICE_IGNORE")).unwrap();
     assert!(rule.starts_with("ACTION!=\"remove\", SUBSYSTEM==\"tty\", DRIVERS==\""), "{rule}");
     assert!(rule.contains("ENV{ID_MM_DEVICE_IGNORE}=\"1\", ENV{ID_MM_PORT_IGNORE}=\"1\""), "{rule}");

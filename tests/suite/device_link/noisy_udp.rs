@@ -11,7 +11,7 @@ use wsg_gateway::transport::{Address, UdpAddress};
 use wsg_gateway::wsg::{Command, Data, LoopData};
 
 use crate::conformance::rig::{Rig, SOON, served, spawn};
-use crate::transports::free_udp_port;
+use crate::device_link::transports::free_udp_port;
 
 /// Faults of the network, with counters.
 #[derive(Default)]
