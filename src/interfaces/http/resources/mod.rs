@@ -1,4 +1,5 @@
-//! Resources that only HTTP has: the journal's pages, streams, recipes as CSV, sessions, tickets, and the gateway's health.
+//! Resources that only HTTP has: the journal's pages, streams, recipes as CSV, sessions, tickets, and the gateway's
+//! health.
 
 pub(super) mod fleet_lists;
 pub(super) mod gateway;
