@@ -8,7 +8,7 @@ pub type Target = fn(&[u8]);
 
 /// All targets by name.
 pub const TARGETS: [(&str, Target); 8] = [
-    ("body", operations::fuzz::body),
+    ("body", operations::parameters::fuzz::body),
     ("config", config::fuzz::file),
     ("frames", wsg::fuzz::frames),
     ("json_rpc", interfaces::websocket::fuzz::message),

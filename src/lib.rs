@@ -10,6 +10,7 @@
 //! - [`interfaces`]: [HTTP](interfaces::http), [WebSocket](interfaces::websocket), [Modbus TCP](interfaces::modbus),
 //!   [Zenoh](interfaces::zenoh), the [WSG port](interfaces::wsg_port), and the [dashboard](interfaces::dashboard) at `/`,
 //!   which uses only the public WebSocket and REST.
+//! - [`connections`]: connections of clients, accepted, admitted and encrypted in one way for all interfaces.
 //! - [`access`]: roles and credentials, and their check.
 //! - [`events`]: live updates, serialised once for all clients.
 //! - [`trends`]: the measured values of the last ten minutes.
@@ -45,6 +46,7 @@ pub mod access;
 pub mod alarms;
 pub mod cli;
 pub mod config;
+pub mod connections;
 pub mod daemon;
 pub mod doctor;
 pub mod events;

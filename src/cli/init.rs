@@ -14,7 +14,7 @@ use jiff::Timestamp;
 use super::token;
 use crate::access::{Role, TokenFile};
 use crate::config::DEFAULT_NAME;
-use crate::interfaces::self_signed::SelfSigned;
+use crate::connections::self_signed::SelfSigned;
 use crate::model::Name;
 use crate::transport::host::{InvalidHost, check_host};
 

@@ -24,7 +24,7 @@ use tokio_rustls::rustls::{ClientConfig, RootCertStore};
 use url::Url;
 
 use crate::config::{Config, Flags};
-use crate::interfaces::tls::server_name;
+use crate::connections::tls::server_name;
 use crate::model::without_byte_order_mark;
 use crate::transport::host::{connect_to_host, parse_web_url};
 

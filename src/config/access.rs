@@ -7,8 +7,8 @@ use toml::Spanned;
 
 use super::{ConfigError, ConfigPlace, Content, File, Flags, GripperConfig, Placed, blank};
 use crate::access::{ClientMatch, FastStopPolicy, KnownClient, Role, Scope, SessionTimes};
-use crate::interfaces::networks::parse_network;
-use crate::interfaces::tls::TlsFiles;
+use crate::connections::networks::parse_network;
+use crate::connections::tls::TlsFiles;
 use crate::model::Name;
 use crate::settings::{flag, optional, required, settings};
 

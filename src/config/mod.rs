@@ -9,8 +9,8 @@ use std::path::PathBuf;
 
 use toml::Spanned;
 
+use crate::connections::tls::TlsFiles;
 use crate::interfaces::http::WebSettings;
-use crate::interfaces::tls::TlsFiles;
 use crate::model::{GripperRules, Name, SharedRules};
 use crate::settings::{flag, named_sections, optional, required, section, sections, settings};
 use crate::transport::Address;

@@ -9,7 +9,7 @@ use ipnet::IpNet;
 use toml::Spanned;
 
 use super::{Config, ConfigError, ConfigPlace, File, Flags, GripperConfig, Placed, parse_address};
-use crate::interfaces::networks::networks;
+use crate::connections::networks::networks;
 use crate::model::Name;
 use crate::settings::{SettingValue, between, optional, optional_whole, settings, whole};
 

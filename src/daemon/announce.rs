@@ -72,7 +72,7 @@ fn curl_options(config: &Config) -> String {
 mod tests {
     use super::*;
     use crate::config::Flags;
-    use crate::interfaces::tls::TlsFiles;
+    use crate::connections::tls::TlsFiles;
 
     #[test]
     fn command_to_try_has_certificate_and_token_only_if_needed() {

@@ -4,7 +4,7 @@
 use rustix::process::{Resource, getrlimit, setrlimit};
 
 use crate::config::{Config, DeviceSource};
-use crate::interfaces::Bounds;
+use crate::connections::Bounds;
 use crate::interfaces::wsg_port::ListenAddress;
 
 /// The gateway itself: five runtimes with sockets (20), the listener, standard input and output, the journal with its

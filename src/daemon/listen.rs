@@ -3,7 +3,7 @@
 use std::fmt::Display;
 use std::io;
 
-use crate::interfaces::sockets::remedy;
+use crate::connections::sockets::remedy;
 
 /// Adds to an error what could not be listened on, and the remedy.
 pub(super) fn failed(what: impl Display, error: io::Error) -> anyhow::Error {

@@ -10,8 +10,8 @@ mod metrics;
 mod modbus;
 mod ports;
 mod reload;
+mod reloadable_settings;
 mod runtimes;
-mod settings;
 mod simulation;
 mod systemd;
 
@@ -33,14 +33,15 @@ use url::Url;
 use crate::access::Access;
 use crate::alarms::{AlarmSources, Alarms};
 use crate::config::{self, Config, ConfigError, DeviceSource, Flags};
+use crate::connections::{self, Bounds};
 use crate::events::LiveUpdates;
 use crate::fleet::Peers;
 use crate::gripper::recorder::{Record, Recorder as _};
 use crate::gripper::{Grippers, Now};
-use crate::interfaces::{self, Bounds, http, zenoh};
+use crate::interfaces::{self, http, zenoh};
 use crate::journal::{self, Journal, Recovered};
 use crate::model::{Detail, Event, GatewayEvent};
-use crate::operations::audit::Audit;
+use crate::operations::calls::audit::Audit;
 use crate::operations::readiness::EXPOSED;
 use crate::operations::{Gateway, Reloads};
 use crate::recipes::Recipes;
@@ -139,8 +140,8 @@ pub async fn check_devices(config: &Config) -> Result<(), ConfigError> {
 /// # Errors
 /// The first file that the gateway could not start with, and the remedy.
 pub fn check_files(config: &Config) -> anyhow::Result<()> {
-    settings::of_http(config, config.listen.port(), None)?;
-    settings::of_access(config)?;
+    reloadable_settings::of_http(config, config.listen.port(), None)?;
+    reloadable_settings::of_access(config)?;
     Ok(())
 }
 
@@ -229,15 +230,15 @@ async fn start(
     let address = listener.local_addr()?;
     let ports = ports::bind(&config, shares.wsg_port)?;
     let modbus = modbus::bind(&config, shares.wsg_port)?;
-    let settings = http::SharedSettings::new(settings::of_http(&config, address.port(), None)?);
-    let access = Arc::new(Access::new(settings::of_access(&config)?));
-    settings::log_warnings(&config);
+    let settings = http::SharedSettings::new(reloadable_settings::of_http(&config, address.port(), None)?);
+    let access = Arc::new(Access::new(reloadable_settings::of_access(&config)?));
+    reloadable_settings::log_warnings(&config);
     warn_of_exposure(&access);
     let (journal, recovered) = open_journal(&config).await?;
     let draining = CancellationToken::new();
     let shutdown = CancellationToken::new();
     let registry = metrics::registry(&config, &journal)?;
-    let port_metrics = interfaces::metrics::WsgPortMetrics::register(&registry)?;
+    let port_metrics = connections::metrics::WsgPortMetrics::register(&registry)?;
     let running = RunningGrippers::start(&config, runtimes.devices.handle(), &journal, &recovered, &registry)?;
     let grippers = running.grippers.clone();
     let audit = Arc::new(Audit::new(journal.clone()));
@@ -276,8 +277,8 @@ async fn start(
         gateway,
         closing: shutdown.child_token(),
         runtimes: clients.clone(),
-        metrics: interfaces::metrics::InterfaceMetrics::register(&registry, "http")?,
-        ws_metrics: interfaces::metrics::InterfaceMetrics::register(&registry, "ws")?,
+        metrics: connections::metrics::InterfaceMetrics::register(&registry, "http")?,
+        ws_metrics: connections::metrics::InterfaceMetrics::register(&registry, "ws")?,
         registry,
         settings: settings.clone(),
         refused_sockets: Arc::default(),
@@ -446,6 +447,6 @@ fn zenoh_settings(
     let connectivity = zenoh::Connectivity { config, listen, connect };
     // In client mode, opening Zenoh waits for a connection.
     network.set_cause(Some(connectivity.awaited().unwrap_or_else(|| "Zenoh is not open yet".to_owned())));
-    let interface_metrics = interfaces::metrics::InterfaceMetrics::register(&context.registry, "zenoh")?;
+    let interface_metrics = connections::metrics::InterfaceMetrics::register(&context.registry, "zenoh")?;
     Ok((zenoh::ZenohSettings { connectivity, max_hz: zenoh.max_hz }, context.of_interface(interface_metrics)))
 }

@@ -11,12 +11,12 @@ use tokio_util::sync::CancellationToken;
 use super::listen;
 use crate::access::Access;
 use crate::config::Config;
-use crate::interfaces;
-use crate::interfaces::foreign::ForeignClients;
+use crate::connections;
+use crate::connections::foreign::ForeignClients;
+use crate::connections::metrics::InterfaceMetrics;
+use crate::connections::peers::KnownPeers;
 use crate::interfaces::http::HttpContext;
-use crate::interfaces::metrics::InterfaceMetrics;
 use crate::interfaces::modbus::{self, ModbusContext, ModbusSettings};
-use crate::interfaces::peers::KnownPeers;
 use crate::model::Name;
 
 /// A bound listener that is not served yet.
@@ -37,7 +37,7 @@ pub(super) struct ServedModbus {
 /// Binds the listener; `None` if Modbus is off.
 pub(super) fn bind(config: &Config, descriptors: usize) -> anyhow::Result<Option<BoundModbus>> {
     let Some(modbus) = &config.modbus else { return Ok(None) };
-    let listener = interfaces::listen(modbus.address).map_err(|error| {
+    let listener = connections::listen(modbus.address).map_err(|error| {
         listen::failed(format_args!("{}: Modbus cannot listen on {}", modbus.place, modbus.address), error)
     })?;
     Ok(Some(BoundModbus { listener, descriptors }))

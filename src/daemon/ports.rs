@@ -9,11 +9,11 @@ use tokio_util::sync::CancellationToken;
 use super::listen;
 use crate::access::Access;
 use crate::config::{Config, ConfigPlace};
+use crate::connections::metrics::WsgPortMetrics;
 use crate::gripper::Grippers;
-use crate::interfaces::metrics::WsgPortMetrics;
 use crate::interfaces::wsg_port::{self, ListenAddress, Listener, Port, Rules};
 use crate::model::Name;
-use crate::operations::audit::Audit;
+use crate::operations::calls::audit::Audit;
 
 /// A bound port that is not served yet.
 pub(super) struct BoundPort {

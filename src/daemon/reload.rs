@@ -15,7 +15,7 @@ use super::grippers::{GripperDifferences, RunningGrippers};
 use super::mdns::Announcement;
 use super::modbus::ServedModbus;
 use super::ports::{PortChanges, Ports};
-use super::{listen, settings, systemd};
+use super::{listen, reloadable_settings, systemd};
 use crate::access::{Access, AccessRules};
 use crate::config::{
     AccessConfig, Config, ConfigError, ConfigPlace, Flags, GripperConfig, JournalConfig, Modbus, ModbusRules,
@@ -117,7 +117,7 @@ impl Reloader {
         let changes = prepared.changes.clone();
         // With the same configuration, the files that it names can still be new.
         self.apply(prepared).await.map_err(ReloadError::Partial)?;
-        settings::log_warnings(&self.config);
+        reloadable_settings::log_warnings(&self.config);
         if !changes.is_empty() {
             let detail = Detail::Gateway(GatewayEvent::Reloaded { changes: changes.clone() });
             let event = Event::new(Now::read().wall, None, detail);
@@ -146,8 +146,8 @@ impl Reloader {
         let unusable = ReloadError::Unusable;
         let of_a_port = self.shares.of_ports(&config).map_err(|error| unusable(error.into()))?;
         let before = self.settings.get();
-        let settings = settings::of_http(&config, before.port, before.tls.clone()).map_err(unusable)?;
-        let access = settings::of_access(&config).map_err(|error| unusable(error.into()))?;
+        let settings = reloadable_settings::of_http(&config, before.port, before.tls.clone()).map_err(unusable)?;
+        let access = reloadable_settings::of_access(&config).map_err(|error| unusable(error.into()))?;
         let grippers = self.grippers.compare(&self.config, &config)?;
         let ports = self.ports.prepare(&config, of_a_port).map_err(unusable)?;
         let listener =

@@ -4,7 +4,7 @@ use std::io;
 
 use tokio::runtime::{Builder, Handle, Runtime};
 
-use crate::interfaces::Runtimes;
+use crate::connections::Runtimes;
 
 /// Niceness of the observers' thread (`nice`, 0 to 19): enough that the kernel prefers any other thread.
 const NICE: i32 = 10;

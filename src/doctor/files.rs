@@ -11,7 +11,7 @@ use super::serial::Account;
 use super::{Diagnosis, Installation};
 use crate::access::{ExpiringCredential, StoredToken, TokenFile};
 use crate::config::{AccessConfig, Guarded, JournalLocation};
-use crate::interfaces::tls::Tls;
+use crate::connections::tls::Tls;
 use crate::journal::Reader;
 
 /// Free space below which a journal soon fails: a few times its write-ahead log.

@@ -4,7 +4,7 @@ use std::net::{SocketAddr, TcpListener, UdpSocket};
 
 use super::running::GatewayState;
 use super::{Diagnosis, Installation};
-use crate::interfaces::sockets::remedy;
+use crate::connections::sockets::remedy;
 use crate::interfaces::wsg_port::ListenAddress;
 
 pub(super) fn check(installation: &Installation) -> Vec<Diagnosis> {

@@ -4,12 +4,12 @@
 //! Architecture invariant: nothing here decides about another gateway's gripper. A request goes to the gateway that
 //! owns the gripper, and the answer comes back unchanged.
 
-mod ask;
 pub mod keys;
-mod others;
-mod replies;
+mod name_conflicts;
+mod other_grippers;
+mod reply_bounds;
 mod report;
-mod twins;
+mod requests;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
@@ -25,16 +25,16 @@ use zenoh::query::{ConsolidationMode, QueryTarget, Reply};
 use zenoh::sample::{Locality, Sample, SampleKind};
 
 use self::keys::{FAST_STOP_OF_ALL, ROOT, ZenohKeys, last_part};
-use self::others::{Others, PeerStop};
-use self::replies::{MAX_COLLECTIONS, ReplyRoom};
-use self::twins::Twins;
+use self::name_conflicts::Twins;
+use self::other_grippers::{Others, PeerStop};
+use self::reply_bounds::{MAX_COLLECTIONS, ReplyRoom};
 use crate::gripper::{Grippers, Now};
 use crate::model::{Client, FastStopId, Name, Reason, State};
 
-pub use ask::{EVENTS, GRIPS, NoAnswer, PeerRequest, PeerResponse, READINESS, TOKEN};
-pub use others::{KEPT_FOR, MAX_URL_BYTES, parse_dashboard};
-pub use replies::CollectedRoom;
+pub use other_grippers::{KEPT_FOR, MAX_URL_BYTES, parse_dashboard};
+pub use reply_bounds::CollectedRoom;
 pub use report::FleetGripper;
+pub use requests::{EVENTS, GRIPS, NoAnswer, PeerRequest, PeerResponse, READINESS, TOKEN};
 
 /// Maximum number of concurrent requests to other gateways. The limit applies separately to stops, to lease requests,
 /// and to all others.

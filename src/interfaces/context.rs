@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use tokio_util::sync::CancellationToken;
 
-use super::metrics::InterfaceMetrics;
-use super::runtimes::Runtimes;
+use crate::connections::metrics::InterfaceMetrics;
+use crate::connections::runtimes::Runtimes;
 use crate::operations::Gateway;
 
 #[derive(Debug, Clone)]

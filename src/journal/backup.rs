@@ -10,7 +10,7 @@ use rusqlite::backup::{Backup, StepResult};
 use rusqlite::{Connection, OpenFlags};
 
 use super::identity;
-use super::reader::Reader;
+use super::reading::reader::Reader;
 use super::source::ReadError;
 
 /// Pages that are copied at once: some milliseconds of reading.

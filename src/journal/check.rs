@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use rusqlite::{Connection, InterruptHandle};
 
-use super::reader::Reader;
+use super::reading::reader::Reader;
 use super::shared::Shared;
 use super::source::{JournalLocation, Source};
 use super::spawn;

@@ -8,28 +8,23 @@ mod backup;
 mod chain;
 mod check;
 mod clock;
-mod commands;
 pub mod csv;
 mod curve;
-mod event_stream;
 #[cfg(any(test, fuzzing))]
 pub(crate) mod fuzz;
 mod head;
 mod identity;
-mod kept;
+mod kept_events;
 mod presence;
 mod prune;
-mod query;
 mod rates;
-mod reader;
+mod reading;
 mod recovery;
 mod restored;
 mod row;
-mod runs;
 mod schema;
 mod shared;
 mod source;
-mod statistics;
 mod store;
 #[cfg(test)]
 pub(crate) mod tests;
@@ -48,23 +43,25 @@ use crate::gripper::recorder::{JournalHealth, Record, Recorder, UnknownPast};
 use crate::model::{Client, CommandEvent, CommandId, CommandReport, Detail, Event, Name, PersistedState, Sample};
 use check::Check;
 use head::HeadFile;
-use reader::Pool;
+use reading::reader::Pool;
 use shared::Shared;
 use store::Store;
 use writer::{JournalWriter, WriterInput};
 
 pub use backup::{BackupError, back_up};
 pub use clock::is_synchronised;
-pub use commands::command_of;
-pub use event_stream::{EventStream, StreamItem};
 pub use head::{Head, InvalidHead};
-pub use query::{Cursor, EventQuery, Filter, GripQuery, InvalidCursor, InvalidLimit, Limit, Order, Page, Query};
-pub use reader::Reader;
+pub use reading::commands::command_of;
+pub use reading::event_stream::{EventStream, StreamItem};
+pub use reading::query::{
+    Cursor, EventQuery, Filter, GripQuery, InvalidCursor, InvalidLimit, Limit, Order, Page, Query,
+};
+pub use reading::reader::Reader;
+pub use reading::statistics::{Distribution, GripStatistics, NEWEST_WEIGHS, StatisticsQuery};
 pub use recovery::Recovered;
 pub use row::{EventKind, GripUpdate, Stored};
 pub use schema::VERSION;
 pub use source::{JournalLocation, ReadError};
-pub use statistics::{Distribution, GripStatistics, NEWEST_WEIGHS, StatisticsQuery};
 pub use store::{OpenError, is_in_use};
 pub use verify::{Finding, Report, verify, verify_with_progress};
 

@@ -10,7 +10,7 @@ use rusqlite::{Connection, OptionalExtension, params};
 
 use super::Retention;
 use super::chain::{Chain, Tip};
-use super::kept;
+use super::kept_events;
 use super::row::{Row, milliseconds, now};
 use super::schema::SPAN_BITS;
 use super::store::{Store, anchor, insert, remove_spans};
@@ -59,7 +59,7 @@ struct Removal {
     /// Last event and last grip record to remove.
     last: [Tip; 2],
     /// Limit of the events that stay.
-    kept: kept::KeptLimit,
+    kept: kept_events::KeptLimit,
 }
 
 impl Pruning {
@@ -107,7 +107,7 @@ impl Pruning {
                 self.removal = Some(removal);
                 return Ok(None);
             }
-            let attestation = kept::attestation(&store.connection)?;
+            let attestation = kept_events::attestation(&store.connection)?;
             return attestation.map(|event| attest(store, event, end)).transpose();
         }
         self.bytes = 0;
@@ -120,7 +120,7 @@ impl Pruning {
 
     /// Returns the event that attests what stays, if a removal is in progress.
     pub(super) fn interrupted(&self, connection: &Connection) -> rusqlite::Result<Option<GatewayEvent>> {
-        if self.is_looking() { Ok(None) } else { kept::attestation(connection) }
+        if self.is_looking() { Ok(None) } else { kept_events::attestation(connection) }
     }
 
     fn look(&mut self, connection: &Connection, now: Timestamp) -> rusqlite::Result<Option<Removal>> {
@@ -130,13 +130,13 @@ impl Pruning {
                 if oldest(connection, chain, now)?.is_some_and(|at| is_overdue(at, before))
                     && let Some(last) = removal(connection, |chain| before_time(connection, chain, before, now))?
                 {
-                    return Ok(Some(Removal { last, kept: kept::KeptLimit::Age(milliseconds(before)) }));
+                    return Ok(Some(Removal { last, kept: kept_events::KeptLimit::Age(milliseconds(before)) }));
                 }
             }
             // Events that a removal for the size has left get too old as well.
-            if kept::oldest(connection)?.is_some_and(|at| is_overdue(at, before)) {
+            if kept_events::oldest(connection)?.is_some_and(|at| is_overdue(at, before)) {
                 let last = [anchor(connection, Chain::Events)?, anchor(connection, Chain::Grips)?];
-                return Ok(Some(Removal { last, kept: kept::KeptLimit::Age(milliseconds(before)) }));
+                return Ok(Some(Removal { last, kept: kept_events::KeptLimit::Age(milliseconds(before)) }));
             }
         }
         let Some(max) = self.retention.max_bytes else { return Ok(None) };
@@ -152,7 +152,7 @@ impl Pruning {
             let newest = newest(connection, chain)?;
             Ok(anchor + (((newest - anchor) as f64 * excess) as i64).max(STEP))
         })?;
-        Ok(last.map(|last| Removal { last, kept: kept::KeptLimit::Size(max) }))
+        Ok(last.map(|last| Removal { last, kept: kept_events::KeptLimit::Size(max) }))
     }
 }
 
@@ -267,13 +267,19 @@ fn remove(store: &mut Store, removal: &Removal, step: i64) -> rusqlite::Result<b
     }
     // More of the events that earlier removals have left can be beyond the limit than the steps above have removed.
     let transaction = store.begin()?;
-    let has_removed = kept::trim(&transaction, removal.kept, step)?;
+    let has_removed = kept_events::trim(&transaction, removal.kept, step)?;
     transaction.commit()?;
     Ok(has_removed)
 }
 
 /// Removes a chain's records up to `last`. Events with a share of the file stay.
-fn remove_of(store: &mut Store, chain: Chain, last: i64, limit: kept::KeptLimit, step: i64) -> rusqlite::Result<()> {
+fn remove_of(
+    store: &mut Store,
+    chain: Chain,
+    last: i64,
+    limit: kept_events::KeptLimit,
+    step: i64,
+) -> rusqlite::Result<()> {
     let transaction = store.begin()?;
     let table = chain.name();
     let hash: [u8; 32] =
@@ -281,8 +287,8 @@ fn remove_of(store: &mut Store, chain: Chain, last: i64, limit: kept::KeptLimit,
     let first = anchor(&transaction, chain)?.seq + 1;
     match chain {
         Chain::Events => {
-            if matches!(limit, kept::KeptLimit::Size(_)) {
-                kept::enter(&transaction, last)?;
+            if matches!(limit, kept_events::KeptLimit::Size(_)) {
+                kept_events::enter(&transaction, last)?;
             }
             let others = "DELETE FROM events WHERE seq BETWEEN ? AND ? AND NOT EXISTS
                  (SELECT 1 FROM kept WHERE share IN ('fast_stops', 'access') AND kept.seq = events.seq)";
@@ -296,7 +302,7 @@ fn remove_of(store: &mut Store, chain: Chain, last: i64, limit: kept::KeptLimit,
     let sql = "INSERT OR REPLACE INTO anchors(chain, seq, hash) VALUES (?, ?, ?)";
     transaction.execute(sql, params![table, last, hash])?;
     if chain == Chain::Events {
-        kept::trim(&transaction, limit, step)?;
+        kept_events::trim(&transaction, limit, step)?;
     }
     transaction.commit()
 }

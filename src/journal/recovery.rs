@@ -7,8 +7,8 @@ use jiff::SignedDuration;
 use rusqlite::{Connection, OptionalExtension};
 
 use super::chain::memory_hash;
-use super::commands::CommandBody;
 use super::identity::NO_GRIPPER;
+use super::reading::commands::CommandBody;
 use super::row::{milliseconds, now};
 use crate::gripper::recorder::{PastRequest, UnknownPast};
 use crate::model::{

@@ -3,7 +3,8 @@
 
 use rusqlite::Connection;
 
-use super::{kept, statistics};
+use super::kept_events;
+use super::reading::statistics;
 
 /// Marks the file as a journal of this gateway: `WSGJ`.
 pub(super) const APPLICATION_ID: i32 = 0x5753_474A;
@@ -109,7 +110,7 @@ pub(super) fn create(connection: &mut Connection) -> rusqlite::Result<()> {
     let transaction = connection.transaction()?;
     transaction.execute_batch(TABLES)?;
     transaction.execute_batch(statistics::INDEX)?;
-    transaction.execute_batch(kept::TABLE)?;
+    transaction.execute_batch(kept_events::TABLE)?;
     transaction.pragma_update(None, "user_version", VERSION)?;
     transaction.pragma_update(None, "application_id", APPLICATION_ID)?;
     transaction.commit()

@@ -11,10 +11,11 @@ use rusqlite::{Connection, OptionalExtension, Transaction, TransactionBehavior, 
 
 use super::chain::{Chain, Tip, memory_hash};
 use super::presence::FilePresence;
+use super::reading::statistics;
 use super::row::{EventKind, Row, word};
 use super::schema::{self, APPLICATION_ID, Content, SPAN_BITS, VERSION, content};
 use super::source::{BUSY_TIMEOUT, JournalLocation, Source, no_file};
-use super::{head, kept, statistics};
+use super::{head, kept_events};
 use crate::model::{Name, PersistedKey};
 
 /// Size limit of the write-ahead log in bytes, while no reader needs more of it.
@@ -230,7 +231,7 @@ fn connect(source: &Source) -> rusqlite::Result<Result<Connection, Content>> {
             if let Err(error) = connection.execute_batch(statistics::INDEX) {
                 tracing::warn!(%error, "index for statistics not created: statistics are unavailable");
             }
-            if let Err(error) = connection.execute_batch(kept::TABLE) {
+            if let Err(error) = connection.execute_batch(kept_events::TABLE) {
                 tracing::warn!(%error, "table of kept events not created: no record is removed");
             }
         }

@@ -11,10 +11,10 @@ use super::chain::{Chain, Tip};
 use super::check::check_newest;
 use super::clock::{ClockCheck, TimeServer};
 use super::head::{Head, HeadFile};
-use super::kept;
+use super::kept_events;
 use super::presence::CHECK_EVERY;
 use super::prune::Pruning;
-use super::query::grip;
+use super::reading::query::grip;
 use super::restored;
 use super::row::{self, GripUpdate, Row, Stored};
 use super::shared::{Senders, Shared};
@@ -140,7 +140,7 @@ impl JournalWriter {
         let mut batch = Batch::default();
         check_newest(&store.source.place, &store.connection, &shared);
         batch.records.extend(last_run.into_iter().map(Placed::event));
-        let kept = kept::unattested(&store.connection)?;
+        let kept = kept_events::unattested(&store.connection)?;
         batch.records.extend(kept.map(|kept| Placed::event(Event::new(row::now(), None, Detail::Gateway(kept)))));
         let mut writer = Self {
             store,

@@ -5,11 +5,11 @@ use std::collections::BTreeSet;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::call::{Call, NoFields};
-use super::operation::operations;
+use super::calls::call::{Call, NoFields};
+use super::calls::operation::operations;
+use super::calls::reply::Json;
+use super::parameters::values::shortened;
 use super::problem::Problem;
-use super::reply::Json;
-use super::values::shortened;
 use crate::alarms::AlarmReport;
 use crate::model::{Alarm, AlarmId};
 

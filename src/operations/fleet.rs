@@ -9,11 +9,11 @@ use serde_json::json;
 use serde_json::value::{RawValue, to_raw_value};
 use utoipa::ToSchema;
 
-use super::call::{Call, NoFields};
-use super::fast_stop::{ACKNOWLEDGE as ACKNOWLEDGE_ONE, FastStopBody, by_confirmation, log, reason};
-use super::operation::operations;
+use super::calls::call::{Call, NoFields};
+use super::calls::operation::operations;
+use super::calls::reply::Json;
+use super::gripper::fast_stop::{ACKNOWLEDGE as ACKNOWLEDGE_ONE, FastStopBody, by_confirmation, log, reason};
 use super::problem::{Members, Problem};
-use super::reply::Json;
 use crate::access::Right;
 use crate::fleet::{FleetGripper, FleetStop, NoAnswer, PeerRequest};
 use crate::model::{Code, FastStopId, Name, Urgency};

@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use super::audit::Audit;
+use super::calls::audit::Audit;
+use super::parameters::values::shortened;
 use super::problem::Problem;
 use super::reload_requests::Reloads;
-use super::values::shortened;
 use crate::access::Access;
 use crate::alarms::Alarms;
 use crate::events::LiveUpdates;

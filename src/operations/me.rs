@@ -5,10 +5,10 @@ use std::sync::Arc;
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::call::{Call, NoFields};
-use super::operation::operations;
+use super::calls::call::{Call, NoFields};
+use super::calls::operation::operations;
+use super::calls::reply::Json;
 use super::problem::Problem;
-use super::reply::Json;
 use crate::access::{Identity, Proof, Right, Role};
 use crate::model::Name;
 

@@ -1,17 +1,21 @@
 //! Recipes: reading, setting and removing them.
 
+pub(crate) mod copy_recipes;
+pub(super) mod requested_recipe;
+pub(crate) mod teach;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::call::{Call, NoFields};
-use super::durable::{check_journal, durable};
-use super::operation::operations;
+use super::calls::call::{Call, NoFields};
+use super::calls::durable_changes::{check_journal, durable};
+use super::calls::operation::operations;
+use super::calls::reply::{Json, Versioned};
+use super::parameters::values::{GivenNumber, PartIdText, VersionOrNone, part_id, shortened, text};
 use super::problem::Problem;
-use super::reply::{Json, Versioned};
-use super::values::{GivenNumber, PartIdText, VersionOrNone, part_id, shortened, text};
 use crate::gripper::limits::{FASTEST_MM_S, STRONGEST_N, WIDEST_MM};
 use crate::model::{Code, Name, PartId, Recipe, RecipeDescription, RecipeNumber, RecipeValues};
 use crate::recipes::{ExpectedVersion, RecipeChange, RecipeConflict, RecipeVersion};

@@ -9,9 +9,9 @@ use utoipa::ToSchema;
 use uuid::Uuid;
 
 use super::gateway::Gateway;
+use super::parameters::query_string::QueryString;
+use super::parameters::values::{integer, text};
 use super::problem::Problem;
-use super::query_string::QueryString;
-use super::values::{integer, text};
 use crate::fleet::{EVENTS, GRIPS};
 use crate::journal::{Cursor, EventKind, Filter, Limit, Page, Query};
 use crate::model::{Code, Event, GripRecord, Kind, PartId};

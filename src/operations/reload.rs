@@ -4,11 +4,11 @@ use serde::Serialize;
 use tokio::sync::oneshot;
 use utoipa::ToSchema;
 
-use super::call::{Call, NoFields};
-use super::operation::operations;
+use super::calls::call::{Call, NoFields};
+use super::calls::operation::operations;
+use super::calls::reply::Json;
 use super::problem::Problem;
 use super::reload_requests::ReloadRequest;
-use super::reply::Json;
 use crate::access::Right;
 use crate::model::Code;
 

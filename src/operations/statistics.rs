@@ -5,11 +5,11 @@ use serde::{Deserialize, Serialize};
 use strum::{EnumMessage, VariantArray};
 use utoipa::ToSchema;
 
-use super::call::Call;
-use super::operation::operations;
+use super::calls::call::Call;
+use super::calls::operation::operations;
+use super::calls::reply::Json;
+use super::parameters::values::{TextOrNumber, gripper_or_gateway, integer, part_id};
 use super::problem::Problem;
-use super::reply::Json;
-use super::values::{TextOrNumber, gripper_or_gateway, integer, part_id};
 use crate::journal::{Distribution, GripStatistics, StatisticsQuery};
 use crate::model::time::milliseconds_or_null;
 use crate::model::{Kind, Outcome, PartId};

@@ -2,14 +2,15 @@
 
 use std::fmt;
 
-use super::nearest::did_you_mean;
-use super::operation::Operation;
-use super::problem::Problem;
-use super::values::shortened;
-use super::{
-    alarms, clock, commands, connection, copy_recipes, device, fast_stop, finger_set, fingers, fleet, grippers, lease,
-    me, motion, raw, recipes, reload, servo, settings, statistics, teach, webhooks,
+use super::calls::operation::Operation;
+use super::gripper::{
+    commands, connection, device, device_settings, fast_stop, finger_set, fingers, grippers, lease, motion, raw, servo,
 };
+use super::parameters::nearest::did_you_mean;
+use super::parameters::values::shortened;
+use super::problem::Problem;
+use super::recipes::{copy_recipes, teach};
+use super::{alarms, clock, fleet, me, recipes, reload, statistics, webhooks};
 use crate::model::Urgency;
 
 /// The operations of all modules. If several share a name, the first whose path parameters are all given is chosen.
@@ -20,7 +21,7 @@ const MODULES: &[&[Operation]] = &[
     lease::OPERATIONS,
     commands::OPERATIONS,
     grippers::OPERATIONS,
-    settings::OPERATIONS,
+    device_settings::OPERATIONS,
     device::OPERATIONS,
     fingers::OPERATIONS,
     finger_set::OPERATIONS,
@@ -103,7 +104,7 @@ impl fmt::Debug for Method {
 
 #[cfg(test)]
 mod tests {
-    use super::super::operation::journal_command;
+    use super::super::calls::operation::journal_command;
     use super::*;
 
     #[test]
@@ -123,7 +124,7 @@ mod tests {
 
     #[test]
     fn subject_is_last_fixed_part() {
-        assert_eq!(settings::SET_ACCELERATION.journal_command(), "acceleration");
+        assert_eq!(device_settings::SET_ACCELERATION.journal_command(), "acceleration");
         assert_eq!(journal_command("/grippers/{g}/custom/{id}"), "custom");
         assert_eq!(commands::CANCEL.journal_command(), "cancel");
     }

@@ -4,10 +4,10 @@ use jiff::Timestamp;
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::call::{Call, NoFields};
-use super::operation::operations;
+use super::calls::call::{Call, NoFields};
+use super::calls::operation::operations;
+use super::calls::reply::Json;
 use super::problem::Problem;
-use super::reply::Json;
 use crate::access::Right;
 use crate::journal::EventKind;
 use crate::model::Code;

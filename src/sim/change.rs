@@ -8,10 +8,10 @@ use wsg::frame;
 use wsg::id;
 use wsg::{Data, Reply, Status};
 
-use super::faults::{FaultKind, FaultName};
-use super::getters::BrokenGetter;
+use super::link::faults::{FaultKind, FaultName};
+use super::motion::world::Part;
 use super::process::MotionKind;
-use super::world::Part;
+use super::requests::getters::BrokenGetter;
 use super::{Device, LinkAction};
 
 /// An event that affects the device.

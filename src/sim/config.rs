@@ -4,9 +4,9 @@ use std::time::Duration;
 
 use wsg::{ChecksumEvaluation, DeviceTag, Firmware, SoftLimits, Status, SystemLimits};
 
-use super::axis::AxisDirection;
 use super::models::Model;
-use super::world::Part;
+use super::motion::axis::AxisDirection;
+use super::motion::world::Part;
 
 /// Generation of the firmware, which determines the manual.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]

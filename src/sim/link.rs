@@ -1,5 +1,10 @@
 //! The device's side of the link: connections, received and sent bytes (`fw4-en 1.1`, `1.4`).
 
+pub(crate) mod faults;
+pub(crate) mod outbox;
+pub(crate) mod received;
+mod wire;
+
 use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
@@ -7,10 +12,10 @@ use serde::{Deserialize, Serialize};
 use wsg::timed_decoder::RESYNC_PAUSE;
 use wsg::{Command, Decoded, Decoder, InvalidRequest, Status, TimedDecoder, id};
 
+use super::Device;
 use super::config::{BadChecksum, DeviceConfig};
-use super::faults::{FaultKind, FaultName, FaultStage};
-use super::received::ReceivedFrame;
-use super::{Device, wire};
+use faults::{FaultKind, FaultName, FaultStage};
+use received::ReceivedFrame;
 
 /// Time limit for a frame that waits to be joined with the next one.
 const JOIN_WAIT: Duration = Duration::from_millis(50);

@@ -5,10 +5,10 @@
 //! [`Device::handle_timeout`] when [`Device::poll_timeout`] is due. Late calls do not change the result, because
 //! motions always advance in steps of [`STEP`].
 //!
-//! Structure: `axis` moves the fingers by one step among the objects in `world`; `motion` and `grip` build motions
-//! from steps; `process` keeps the gripper state and the statistics. `commands`, `motions` and `stops` handle requests,
-//! `replies` and `link` send replies, and `tick` runs due timers. [`Change`] lists events from outside the protocol,
-//! and [`FaultKind`] lists faults on the wire.
+//! Structure: `motion` builds motions from steps, of which each moves the fingers on their `axis` among the objects in
+//! `world`; `process` keeps the gripper state and the statistics. `requests` handles requests by kind, and replies.
+//! `link` receives and sends bytes, with faults. `timers` runs what is due. [`Change`] lists events from outside the
+//! protocol, and [`FaultKind`] lists faults on the wire.
 //!
 //! Architecture invariant: no runtime, no clock, no randomness, and no imports from this crate except
 //! [`wsg`].
@@ -18,58 +18,46 @@ use std::time::Instant;
 
 use wsg::{Subscriptions, TimedDecoder};
 
-mod axis;
 mod change;
-mod commands;
 mod config;
-mod faults;
 mod fingers;
-mod getters;
-mod grip;
 mod link;
 mod models;
 mod motion;
-mod motions;
 mod options;
-mod outbox;
-mod possible;
+mod possible_changes;
 mod process;
-mod received;
-mod replies;
+mod requests;
 #[cfg(test)]
 mod rulings_tests;
-mod settings;
 mod snapshot;
-mod stops;
 mod thermal;
-mod tick;
+mod timers;
 #[cfg(test)]
 mod updates_tests;
-mod wire;
-mod world;
 
-pub use axis::{AxisDirection, STEP};
 pub use change::Change;
 pub use config::{BadChecksum, DeviceConfig, FingerConfig, Generation, Script, ScriptAnswer};
-pub use faults::{FaultCounts, FaultKind, FaultName, MAX_ARMED_FAULTS};
-pub use getters::BrokenGetter;
+pub use link::faults::{FaultCounts, FaultKind, FaultName, MAX_ARMED_FAULTS};
+pub use link::outbox::{MAX_QUEUED_FRAMES, MAX_QUEUED_REPLIES};
+pub use link::received::{MAX_RECEIVED_FRAMES, ReceivedFrame};
 pub use link::{Interface, LinkAction};
 pub use models::Model;
-pub use outbox::{MAX_QUEUED_FRAMES, MAX_QUEUED_REPLIES};
-pub use possible::ImpossibleChange;
-pub use received::{MAX_RECEIVED_FRAMES, ReceivedFrame};
+pub use motion::axis::{AxisDirection, STEP};
+pub use motion::world::{GripSide, Part};
+pub use possible_changes::ImpossibleChange;
+pub use requests::getters::BrokenGetter;
 pub use snapshot::Snapshot;
-pub use world::{GripSide, Part};
 
-use faults::Faults;
 use fingers::FingerPort;
-use getters::BrokenGetters;
+use link::faults::Faults;
+use link::outbox::ReplyQueue;
+use link::received::ReceivedLog;
 use motion::Mechanics;
-use outbox::ReplyQueue;
 use process::{MotionKind, Process};
-use received::ReceivedLog;
-use replies::{Late, PendingReply};
-use settings::DeviceSettings;
+use requests::device_settings::DeviceSettings;
+use requests::getters::BrokenGetters;
+use requests::replies::{Late, PendingReply};
 use thermal::Thermal;
 
 /// The running motion. The ticket for its result is `None` if no client requested it.

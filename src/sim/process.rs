@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use wsg::{GripperState, Statistics, Status};
 
-use super::axis::AxisDirection;
+use super::motion::axis::AxisDirection;
 
 /// Delay in fw4 from the end of MOVING to TARGET_POS_REACHED (`fw4-en` Appendix B).
 const TARGET_REACHED_DELAY: Duration = Duration::from_millis(5);

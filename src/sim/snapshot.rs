@@ -3,9 +3,9 @@
 use wsg::{Data, DeviceTag, Force, GripperState, SoftLimits, Speed, Statistics, SystemInfo, SystemState, Width, id};
 
 use super::Device;
-use super::axis::AxisDirection;
 use super::motion::AT_LIMIT_MM;
-use super::world::Part;
+use super::motion::axis::AxisDirection;
+use super::motion::world::Part;
 
 /// Full state of a device at one moment: true values and those that the device shows.
 #[derive(Debug, Clone, PartialEq)]

@@ -19,7 +19,7 @@ use tokio_rustls::TlsConnector;
 use tokio_rustls::rustls::crypto::ring::default_provider;
 use tokio_rustls::rustls::{self, ClientConfig};
 
-use super::settings::{Authorities, Receiver};
+use super::webhook_settings::{Authorities, Receiver};
 use crate::transport::host::connect_to_host;
 
 /// Time limit of an attempt, from the connection to the header of the response.

@@ -10,7 +10,7 @@ use jiff::Timestamp;
 use ring::hmac;
 use sha2::{Digest as _, Sha256};
 
-use super::settings::{Receiver, SigningSecret};
+use super::webhook_settings::{Receiver, SigningSecret};
 use crate::model::Name;
 
 /// Number of bytes of the body's hash in an id. The hash keeps ids unique after a new journal starts its numbers again.

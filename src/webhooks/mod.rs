@@ -7,9 +7,9 @@
 mod client;
 mod delivery;
 mod metrics;
-mod settings;
 #[cfg(test)]
 mod tests;
+mod webhook_settings;
 mod worker;
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
@@ -33,7 +33,7 @@ use metrics::WebhookMetrics;
 use worker::Worker;
 
 pub use client::DeliveryFailure;
-pub use settings::{Authorities, InvalidSetting, Receiver, SigningSecret, WebhookSettings};
+pub use webhook_settings::{Authorities, InvalidSetting, Receiver, SigningSecret, WebhookSettings};
 
 /// Parts of the gateway that webhooks use.
 #[derive(Debug, Clone)]

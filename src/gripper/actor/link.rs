@@ -1,5 +1,9 @@
 //! The link to the device: its session, its state, and the requests in flight on it.
 
+mod arrived_data;
+pub(super) mod pacing;
+mod wire_log;
+
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -10,12 +14,12 @@ use super::super::Now;
 use super::super::handle::ResultSender;
 use super::super::lease::Holder;
 use super::super::setup::{Setting, Setup, Step};
-use super::arrived::Arrived;
-use super::wire_log::WireLog;
 use super::{REPLY_WITHIN, RESULT_WITHIN, name_of};
+use arrived_data::Arrived;
 use model::error::{Failure, Rejection};
 use model::{Client, CommandId, LeaseToken, Link, Name, WireRecord};
 use transport::LinkProperties;
+use wire_log::WireLog;
 use wsg::session::{self, End, NotTaken, Session, SessionEvent, Token};
 use wsg::{self, Command, Data, Force, id};
 

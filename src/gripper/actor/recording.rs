@@ -3,20 +3,25 @@
 //! A motion's frame is sent, and its client is answered, only after its `admitted` record is durable. So the journal
 //! has every command that a client knows of, even after a crash. FAST STOPs and the frames of Stops do not wait.
 
+mod measuring;
+mod persistence;
+mod rapid_changes;
+mod repeats;
+
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 use super::super::Now;
 use super::super::recorder::{JournalHealth, Record};
-use super::flicker::Flicker;
-use super::measuring::MeasuredMotion;
-use super::persistence::LastReported;
-use super::repeats::Repeats;
+use measuring::MeasuredMotion;
 use model::error::Failure;
 use model::{
     Admitted, Client, CommandEvent, CommandId, CommandReport, Detail, DeviceEvent, Done, Event, FastStopEvent,
     FastStopStep, Latch, LeaseEvent, Link, LinkEvent, Name, OnJournalFailure, Parameters, Submission,
 };
+use persistence::LastReported;
+use rapid_changes::Flicker;
+use repeats::Repeats;
 use wsg::SystemState;
 
 /// Time limit for a command's record to become durable. When it expires, the command is refused, or it proceeds without

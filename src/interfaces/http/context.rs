@@ -5,10 +5,11 @@ use std::sync::Arc;
 use prometheus::Registry;
 use tokio_util::sync::CancellationToken;
 
-use super::refused_sockets::RefusedSockets;
-use super::settings::SharedSettings;
-use crate::interfaces::metrics::InterfaceMetrics;
-use crate::interfaces::{self, Runtimes};
+use super::http_settings::SharedSettings;
+use super::requests::refused_sockets::RefusedSockets;
+use crate::connections::Runtimes;
+use crate::connections::metrics::InterfaceMetrics;
+use crate::interfaces;
 use crate::operations::Gateway;
 
 pub const API: &str = "/api/v1";

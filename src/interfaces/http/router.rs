@@ -21,12 +21,11 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use super::context::{API, HttpContext};
-use super::openapi_document::completed;
-use super::unknown_path::unknown_path;
-use super::{
-    access_log, audit, docs, fleet_lists, forward, gateway, guard, guide, journal, large, paths, recipes, rights,
-    session, stream, tickets, turn, upgrade,
-};
+use super::documents::openapi_document::completed;
+use super::documents::{docs, guide, paths};
+use super::requests::unknown_path::unknown_path;
+use super::requests::{access_log, audit, forward, guard, large_responses, request_admission, rights};
+use super::resources::{fleet_lists, gateway, journal, recipes, session, stream, tickets, upgrade};
 use crate::interfaces::dashboard;
 use crate::operations::{Code, Problem};
 
@@ -55,7 +54,7 @@ async fn admitted(context: &HttpContext, request: Request, next: Next) -> Respon
     rights::check(context, request, async |request| {
         let method = request.method().clone();
         let uri = request.uri().clone();
-        let served = turn::read_first(request, async |request| next.run(request).await);
+        let served = request_admission::read_first(request, async |request| next.run(request).await);
         AssertUnwindSafe(served).catch_unwind().await.unwrap_or_else(|_| panicked(&method, uri.path()))
     })
     .await
@@ -100,7 +99,10 @@ fn journal() -> Routes {
         .routes(routes!(fleet_lists::events))
         .routes(routes!(fleet_lists::grips))
         .routes(routes!(fleet_lists::readiness))
-        .layer(middleware::from_fn_with_state(Arc::new(Semaphore::new(large::MAX_READS)), large::count))
+        .layer(middleware::from_fn_with_state(
+            Arc::new(Semaphore::new(large_responses::MAX_READS)),
+            large_responses::count,
+        ))
 }
 
 fn documents() -> Routes {

@@ -3,7 +3,7 @@
 use serde_json::{Map, Value, json};
 
 use super::order::{ModbusOrder, OutOfRange};
-use crate::operations::motion;
+use crate::operations::gripper::motion;
 
 /// Holding registers of the gateway map.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -6,9 +6,9 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::watch;
 
-use crate::interfaces::foreign::ForeignClients;
-use crate::interfaces::metrics::InterfaceMetrics;
-use crate::interfaces::peers::KnownPeers;
+use crate::connections::foreign::ForeignClients;
+use crate::connections::metrics::InterfaceMetrics;
+use crate::connections::peers::KnownPeers;
 use crate::model::Name;
 use crate::model::clock;
 use crate::operations::Gateway;

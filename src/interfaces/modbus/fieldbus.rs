@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 
 use super::order::ModbusOrder;
-use crate::operations::motion;
+use crate::operations::gripper::motion;
 
 /// Holding registers of the fieldbus map.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

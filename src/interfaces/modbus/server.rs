@@ -12,9 +12,9 @@ use tokio_util::sync::CancellationToken;
 use super::adu;
 use super::connection::ModbusConnection;
 use super::context::{ModbusContext, ModbusSettings, NewestSettings};
-use crate::interfaces::accept::{self, FastStopRule};
-use crate::interfaces::admission::{Admission, Bounds};
-use crate::interfaces::sockets;
+use crate::connections::accept::{self, FastStopRule};
+use crate::connections::admission::{Admission, Bounds};
+use crate::connections::sockets;
 use crate::model::Door;
 
 /// Accepts clients until `draining`, and serves them until `closing`. They use this many descriptors at most.

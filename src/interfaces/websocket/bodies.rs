@@ -9,8 +9,9 @@ use utoipa::ToSchema;
 
 use crate::events::{DEFAULT_HZ, MAX_HZ, Subscription, Topic};
 use crate::model::{Name, State};
-use crate::operations::values::Whole;
-use crate::operations::{Gateway, Problem, json};
+use crate::operations::parameters::json;
+use crate::operations::parameters::values::Whole;
+use crate::operations::{Gateway, Problem};
 
 /// Maximum rate, per second.
 type MaxHz = Whole<1, MAX_HZ>;

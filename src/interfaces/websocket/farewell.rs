@@ -10,9 +10,9 @@ use tokio_tungstenite::tungstenite::protocol::CloseFrame;
 use tokio_tungstenite::tungstenite::protocol::frame::Frame;
 use tokio_tungstenite::tungstenite::protocol::frame::coding::CloseCode;
 
-use super::end::SocketEnd;
 use super::rpc::{self, Incoming, RpcMethod};
 use super::socket::Socket;
+use super::socket_end::SocketEnd;
 use crate::events::encoded;
 use crate::model::{LossCause, Urgency};
 

@@ -4,7 +4,7 @@ use serde_json::Value;
 
 use super::rpc::{self, Incoming, MAX_BATCH};
 use crate::operations::Method;
-use crate::operations::json::StrictJson;
+use crate::operations::parameters::json::StrictJson;
 
 fn is_fast_stop(name: &str) -> bool {
     Method::named(name).is_ok_and(Method::is_fast_stop)

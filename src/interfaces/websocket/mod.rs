@@ -3,16 +3,16 @@
 //! A client's `socket` reads and answers requests, until its `farewell`. Its `writer` sends responses and updates on
 //! another runtime, from an `outbox` with bounded bytes.
 
-mod answered;
 mod bodies;
-mod end;
 mod farewell;
 #[cfg(any(test, fuzzing))]
 pub(crate) mod fuzz;
-mod halves;
+mod message_results;
 mod outbox;
 mod rpc;
 mod socket;
+mod socket_end;
+mod split_connection;
 mod writer;
 
 pub use bodies::{Subscribe, Subscribed};

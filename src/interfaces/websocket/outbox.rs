@@ -7,7 +7,7 @@ use bytes::Bytes;
 use tokio::sync::Notify;
 
 use super::bodies::Following;
-use crate::interfaces::admission::HeldBytes;
+use crate::connections::admission::HeldBytes;
 
 /// Maximum number of unread bytes of a client. A client that exceeds it is disconnected.
 pub const MAX_WAITING_BYTES: usize = 256 * 1024;

@@ -6,7 +6,7 @@ use serde_json::Value;
 use serde_json::value::RawValue;
 
 use crate::model::without_byte_order_mark;
-use crate::operations::json::{self, MAX_BODY_BYTES, StrictJson};
+use crate::operations::parameters::json::{self, MAX_BODY_BYTES, StrictJson};
 use crate::operations::{Code, Method, Problem, all};
 
 /// Maximum number of requests in a batch.

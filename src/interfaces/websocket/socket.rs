@@ -21,23 +21,24 @@ use tokio_tungstenite::tungstenite::protocol::{Role, WebSocketConfig};
 use tokio_tungstenite::tungstenite::{Error as WsError, Message};
 use tokio_util::task::AbortOnDropHandle;
 
-use super::answered::{Answered, MessageResult, raw};
 use super::bodies;
-use super::end::{SocketEnd, TOO_LONG, end_of};
-use super::halves::{self, Inbound};
+use super::message_results::{Answered, MessageResult, raw};
 use super::outbox::Outbox;
 use super::rpc::{self, Incoming, RpcCall, RpcError, RpcMethod, RpcResponse};
+use super::socket_end::{SocketEnd, TOO_LONG, end_of};
+use super::split_connection::{self, Inbound};
 use super::writer::Writer;
 use crate::access::{Right, Visitor};
+use crate::connections::admission::{Claim, Class, ConnectionPermit, HeldBytes};
+use crate::connections::client_stream::ClientStream;
+use crate::connections::metrics::Connected;
+use crate::connections::pace::RequestPace;
 use crate::events::{Notification, encoded, text_frame};
 use crate::interfaces::Context;
-use crate::interfaces::admission::{Claim, Class, ConnectionPermit, HeldBytes};
-use crate::interfaces::client_stream::ClientStream;
-use crate::interfaces::metrics::Connected;
-use crate::interfaces::pace::RequestPace;
 use crate::model::{Client, CommandReport, LossCause, Name, Urgency};
-use crate::operations::json::{MAX_BODY_BYTES, MAX_OVERSIZED_BYTES};
-use crate::operations::{Caller, Code, ConnectionLease, Method, Problem, lease, require};
+use crate::operations::gripper::lease;
+use crate::operations::parameters::json::{MAX_BODY_BYTES, MAX_OVERSIZED_BYTES};
+use crate::operations::{Caller, Code, ConnectionLease, Method, Problem, require};
 
 const PINGED_EVERY: Duration = Duration::from_secs(1);
 
@@ -126,7 +127,7 @@ impl Socket {
         context: Context,
     ) -> io::Result<Box<Self>> {
         let runtimes = &context.runtimes;
-        let (reader, writer) = halves::split(stream, &runtimes.sockets, &runtimes.observers)?;
+        let (reader, writer) = split_connection::split(stream, &runtimes.sockets, &runtimes.observers)?;
         let outbox = Arc::new(Outbox::new(permit.as_ref().map(ConnectionPermit::held)));
         let inbound = Inbound::new(early, reader, outbox.clone(), permit.as_ref().map(ConnectionPermit::held));
         let writer = Writer::new(writer, outbox.clone(), context.metrics.clone());

@@ -9,10 +9,10 @@ use futures_util::FutureExt as _;
 use tokio::io::AsyncWriteExt as _;
 
 use super::bodies::Following;
-use super::halves::WritingHalf;
 use super::outbox::{Item, Outbox};
+use super::split_connection::WritingHalf;
+use crate::connections::metrics::InterfaceMetrics;
 use crate::events::{Notification, Pace, Subscription};
-use crate::interfaces::metrics::InterfaceMetrics;
 
 /// Maximum number of frames in one write.
 const MAX_GATHERED: usize = 64;

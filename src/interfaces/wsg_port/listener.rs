@@ -10,7 +10,7 @@ use tokio_util::sync::CancellationToken;
 use super::port::Port;
 use super::udp::Datagrams;
 use super::{tcp, udp};
-use crate::interfaces::accept;
+use crate::connections::accept;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ListenAddress {

@@ -9,14 +9,14 @@ use serde::Deserialize;
 use tokio_util::sync::CancellationToken;
 
 use crate::access::Access;
+use crate::connections::admission::{Admission, Bounds, ConnectionPermit};
+use crate::connections::metrics::WsgPortMetrics;
+use crate::connections::networks::networks;
+use crate::connections::peers::KnownPeers;
+use crate::connections::sockets;
 use crate::gripper::Handle;
-use crate::interfaces::admission::{Admission, Bounds, ConnectionPermit};
-use crate::interfaces::metrics::WsgPortMetrics;
-use crate::interfaces::networks::networks;
-use crate::interfaces::peers::KnownPeers;
-use crate::interfaces::sockets;
 use crate::model::{Client, Door};
-use crate::operations::audit::Audit;
+use crate::operations::calls::audit::Audit;
 use crate::settings::{FileSection, SettingValue, flag, parsed, plain, settings};
 
 /// Silence after which a client's lease is lost: no TCP acknowledgements, or no datagrams unless configured otherwise.

@@ -7,7 +7,7 @@ use super::input::Unusable;
 use super::port::Port;
 use crate::gripper::{Conflict, Invalid, Rejection};
 use crate::model::Client;
-use crate::operations::audit::RefusedRequest;
+use crate::operations::calls::audit::RefusedRequest;
 use crate::wsg::{Status, id};
 
 /// A request that the virtual device refused by itself.

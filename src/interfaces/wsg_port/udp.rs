@@ -23,7 +23,7 @@ use tokio_util::sync::CancellationToken;
 use super::client::Served;
 use super::port::Port;
 use super::unreachable::{self, DeliveryError, Outage};
-use crate::interfaces::admission;
+use crate::connections::admission;
 use crate::model::clock;
 use crate::wsg::Opening;
 

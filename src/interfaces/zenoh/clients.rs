@@ -23,8 +23,8 @@ use zenoh::session::{TransportEvent, ZenohId};
 
 use super::client::identity;
 use crate::access::{Access, Credential, Right};
+use crate::connections::metrics::{Connected, InterfaceMetrics};
 use crate::fleet::keys::{ZenohKeys, last_part};
-use crate::interfaces::metrics::{Connected, InterfaceMetrics};
 use crate::model::{LossCause, Name};
 use crate::operations::ConnectionLease;
 

@@ -7,8 +7,8 @@ use std::time::Duration;
 
 use zenoh::config::EndPoint;
 
+use crate::connections::sockets::remedy;
 use crate::fleet::Peers;
-use crate::interfaces::sockets::remedy;
 
 /// First and longest interval of the checks.
 const LOOKS_AFTER: Duration = Duration::from_millis(10);

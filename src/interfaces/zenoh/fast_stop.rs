@@ -8,9 +8,9 @@ use tokio::runtime::Handle;
 use zenoh::sample::{Sample, SampleKind};
 
 use super::client::client;
+use crate::connections::metrics::InterfaceMetrics;
 use crate::fleet::keys::{FAST_STOP_OF_ALL, ZenohKeys};
 use crate::gripper::Grippers;
-use crate::interfaces::metrics::InterfaceMetrics;
 use crate::model::{Client, Code, Reason, ShownName, without_byte_order_mark};
 
 /// Last part of the keys, and the route in the metrics.

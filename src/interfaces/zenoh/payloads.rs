@@ -5,7 +5,7 @@ use serde_json::value::RawValue;
 use serde_json::{Map, Value};
 
 use super::clients::Bond;
-use crate::operations::json::{self, MAX_BODY_BYTES};
+use crate::operations::parameters::json::{self, MAX_BODY_BYTES};
 use crate::operations::{Code, Problem};
 
 /// Field of the reply to `lease.take` that says what binds the lease.

@@ -21,17 +21,19 @@ use super::client::{client, identity};
 use super::clients::{Clients, MAX_QUERIES};
 use super::payloads::{body, holder, problem_json, with_bond};
 use crate::access::{Credential, Identity, Right, Unauthorized};
+use crate::connections::metrics::InterfaceMetrics;
 use crate::fleet::keys::{COMMAND, ZenohKeys, decoded, last_part};
 use crate::fleet::{EVENTS, GRIPS, READINESS, TOKEN};
-use crate::interfaces::metrics::InterfaceMetrics;
 use crate::model::{Client, Door, Name, Text, Urgency};
-use crate::operations::nearest::did_you_mean;
+use crate::operations::gripper::{grippers, lease};
+use crate::operations::parameters::nearest::did_you_mean;
+use crate::operations::parameters::values::{name, text};
 use crate::operations::readiness::Readiness;
+use crate::operations::recipes::teach;
 use crate::operations::records::RecordList;
-use crate::operations::values::{name, text};
 use crate::operations::{
     self, Caller, Code, Effect, Gateway, MAX_LEASE_BYTES, Method, Operation, OperationReply, Presence, Problem, Wait,
-    fleet, grippers, lease, statistics, teach,
+    fleet, statistics,
 };
 
 /// Maximum number of concurrent FAST STOP queries of one gripper, each of which ends within 250 ms. More are refused,

@@ -10,11 +10,12 @@ use zenoh::pubsub::Subscriber;
 use super::client::{client, identity};
 use super::payloads::body;
 use crate::access::Credential;
+use crate::connections::metrics::InterfaceMetrics;
 use crate::fleet::TOKEN;
 use crate::fleet::keys::{MAX_CLIENT_BYTES, ZenohKeys};
-use crate::interfaces::metrics::InterfaceMetrics;
 use crate::model::{Client, Door, Name, ShownName};
-use crate::operations::{self, Caller, Gateway, Method, Operation, servo};
+use crate::operations::gripper::servo;
+use crate::operations::{self, Caller, Gateway, Method, Operation};
 
 /// Fields that are parameters of the selector in a query.
 const CLIENT: &str = "client";

@@ -6,7 +6,7 @@ use rand::{RngExt, SeedableRng};
 use rustix::time::{ClockId, clock_gettime};
 
 use super::super::chain::{Chain, Tip};
-use super::super::query::{ChainKind, page};
+use super::super::reading::query::{ChainKind, page};
 use super::super::row::{Row, milliseconds};
 use super::super::store::{PersistedValues, Store};
 use super::*;

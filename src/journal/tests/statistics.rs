@@ -1,7 +1,7 @@
 //! Statistics of grips, computed by one thread and by two.
 
+use super::super::reading::statistics::{SHARED_FROM, statistics};
 use super::super::source::Source;
-use super::super::statistics::{SHARED_FROM, statistics};
 use super::super::store::{PersistedValues, Store};
 use super::super::{Distribution, GripStatistics, StatisticsQuery};
 use super::super::{chain::Tip, row::Row};

@@ -11,16 +11,16 @@ use rusqlite::{Connection, OptionalExtension, Row};
 use super::chain::{Chain, memory_hash};
 use super::head::{self, Head};
 use super::identity::NO_GRIPPER;
-use super::kept::TABLE as KEPT;
-use super::reader::Reader;
+use super::kept_events::TABLE as KEPT;
+use super::reading::reader::Reader;
+use super::reading::statistics;
 use super::schema::TABLES;
 use super::source::ReadError;
-use super::statistics;
 use super::store::anchor;
-use kept::{AttestedShares, KeptWalk};
+use kept_events::{AttestedShares, KeptWalk};
 use walk::Walk;
 
-mod kept;
+mod kept_events;
 #[cfg(test)]
 mod tests;
 mod walk;

@@ -3,11 +3,14 @@
 
 use wsg::{SoftLimits, Status};
 
-use super::axis::{Axis, AxisDirection, Drive, Progress};
-use super::grip::{Grip, Hold};
-use super::world::World;
+use axis::{Axis, AxisDirection, Drive, Progress};
+use grip::{Grip, Hold};
+use world::World;
 
-mod ends;
+pub(crate) mod axis;
+mod end_conditions;
+pub(crate) mod grip;
+pub(crate) mod world;
 
 /// Number of pressing steps that count as a block.
 const BLOCK_STEPS: u32 = 10;

@@ -20,24 +20,25 @@ const ROOMS: &str = "
     lib:
     access: model settings
     main: cli
-    cli: access config daemon doctor fleet interfaces interfaces/http interfaces/websocket model journal logging
+    cli: access config connections daemon doctor fleet interfaces interfaces/http interfaces/websocket model journal logging
         transport wsg wsg/frame
     alarms: access fleet gripper model gripper/recorder journal wear webhooks
-    daemon: access alarms config interfaces interfaces/dashboard interfaces/http interfaces/modbus interfaces/wsg_port
+    daemon: access alarms config connections interfaces interfaces/dashboard interfaces/http interfaces/modbus interfaces/wsg_port
         interfaces/zenoh events fleet operations gripper gripper/actor model gripper/recorder journal recipes
         settings sim transport trends wear webhooks wsg
-    doctor: access config daemon model interfaces interfaces/wsg_port journal transport wsg wsg/frame
-    config: access model interfaces interfaces/http interfaces/wsg_port journal settings transport wear webhooks
+    doctor: access config connections daemon model interfaces/wsg_port journal transport wsg wsg/frame
+    config: access connections model interfaces/http interfaces/wsg_port journal settings transport wear webhooks
     logging:
     operations: access alarms events fleet gripper model gripper/recorder journal recipes trends wear webhooks wsg
-    interfaces: access model operations settings transport
+    connections: access model settings transport
+    interfaces: connections operations
     interfaces/dashboard: interfaces operations
-    interfaces/http: access interfaces interfaces/dashboard interfaces/websocket events fleet operations
+    interfaces/http: access connections interfaces interfaces/dashboard interfaces/websocket events fleet operations
         gripper model journal recipes settings transport
-    interfaces/modbus: interfaces gripper model operations wsg
-    interfaces/websocket: access interfaces events gripper model operations
-    interfaces/wsg_port: access interfaces gripper model operations settings wsg wsg/frame
-    interfaces/zenoh: access interfaces events fleet gripper model journal operations
+    interfaces/modbus: connections gripper model operations wsg
+    interfaces/websocket: access connections interfaces events gripper model operations
+    interfaces/wsg_port: access connections gripper model operations settings wsg wsg/frame
+    interfaces/zenoh: access connections interfaces events fleet gripper model journal operations
     events: alarms fleet gripper model journal
     fleet: gripper model
     journal: model gripper/recorder
@@ -64,7 +65,7 @@ const ROOMS: &str = "
 /// Rooms without import cycles, neither within a room nor across these rooms.
 const WITHOUT_CIRCLES: &str = "
     lib access main cli logging operations alarms fleet recipes trends wear
-    interfaces interfaces/dashboard interfaces/http interfaces/modbus interfaces/websocket interfaces/wsg_port interfaces/zenoh
+    connections interfaces interfaces/dashboard interfaces/http interfaces/modbus interfaces/websocket interfaces/wsg_port interfaces/zenoh
     gripper gripper/latch gripper/recorder gripper/setup transport wsg wsg/crc wsg/frame
 ";
 

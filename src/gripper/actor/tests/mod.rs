@@ -13,9 +13,9 @@ use model::{Client, Door, FastStopCause, FastStopId, Reason, State, UpdateMode, 
 use wsg::{Status, SystemState, frame};
 
 mod fast_stop;
-mod flicker;
 mod link;
 mod motion;
+mod rapid_changes;
 mod reconfiguration;
 mod steering;
 mod streaming;

@@ -16,17 +16,17 @@ use tokio_rustls::LazyConfigAcceptor;
 use tokio_rustls::rustls::server::Acceptor;
 use tokio_util::task::AbortOnDropHandle;
 
-use super::super::fast_stop::{begins_with_fast_stop, may_be_fast_stop};
-use super::super::handshakes::Handshakes;
-use super::super::redirect;
-use super::super::settings::HttpSettings;
+use super::super::http_settings::HttpSettings;
+use super::super::requests::fast_stop::{begins_with_fast_stop, may_be_fast_stop};
+use super::redirect;
 use crate::access::ClientCertificate;
-use crate::interfaces::accept::{FIRST_BYTES, FIRST_BYTES_WITHIN, REST_WITHIN, peek_now};
-use crate::interfaces::admission::ConnectionPermit;
-use crate::interfaces::client_stream::{ClientStream, EncryptedStream};
-use crate::interfaces::quick_ack::QuickAckStream;
-use crate::interfaces::sockets;
-use crate::interfaces::tls::holder;
+use crate::connections::accept::{FIRST_BYTES, FIRST_BYTES_WITHIN, REST_WITHIN, peek_now};
+use crate::connections::admission::ConnectionPermit;
+use crate::connections::client_stream::{ClientStream, EncryptedStream};
+use crate::connections::handshakes::Handshakes;
+use crate::connections::quick_ack::QuickAckStream;
+use crate::connections::sockets;
+use crate::connections::tls::holder;
 
 /// Unsent bytes that the kernel queues for a slow client: some dozens of updates.
 #[cfg(target_os = "linux")]

@@ -3,11 +3,13 @@
 //! `axum::serve` bounds neither connections nor the time for a request's header, so this builds on hyper. [`Admission`]
 //! admits connections. The server inspects the first bytes of each. A connection that begins with a whole FAST STOP is served
 //! on the accepting runtime, which does nothing else; all others move to
-//! [`Runtimes::requests`](crate::interfaces::Runtimes::requests). A connection that streams updates moves to
-//! [`Runtimes::observers`](crate::interfaces::Runtimes::observers).
+//! [`Runtimes::requests`](crate::connections::Runtimes::requests). A connection that streams updates moves to
+//! [`Runtimes::observers`](crate::connections::Runtimes::observers).
 
 mod connection;
 mod inspection;
+mod redirect;
+pub(super) mod runtime_mover;
 
 use std::io;
 use std::net::SocketAddr;
@@ -19,15 +21,15 @@ use tokio::sync::{OwnedSemaphorePermit, watch};
 use tokio::time::{sleep, timeout};
 use tokio_util::sync::CancellationToken;
 
-use super::asked::OperationPaths;
 use super::context::HttpContext;
-use super::fast_stop::{begins_with_fast_stop, may_be_fast_stop};
-use super::handshakes::Handshakes;
+use super::http_settings::HttpSettings;
+use super::requests::fast_stop::{begins_with_fast_stop, may_be_fast_stop};
+use super::requests::requested_operation::OperationPaths;
 use super::router::router;
-use super::settings::HttpSettings;
-use crate::interfaces::accept::{self, Acceptor, CrowdSlot, FastStopRule};
-use crate::interfaces::admission::{Admission, ConnectionPermit, Usage};
-use crate::interfaces::metrics::Connected;
+use crate::connections::accept::{self, Acceptor, CrowdSlot, FastStopRule};
+use crate::connections::admission::{Admission, ConnectionPermit, Usage};
+use crate::connections::handshakes::Handshakes;
+use crate::connections::metrics::Connected;
 use connection::Server;
 pub use connection::ServerLimits;
 use inspection::{Begun, Inspected, decrypt, inspect};

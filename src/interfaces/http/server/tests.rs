@@ -7,8 +7,8 @@ use tokio::sync::mpsc::UnboundedReceiver;
 use tokio::task::JoinHandle;
 
 use super::*;
+use crate::connections::admission::{Bounds, Class};
 use crate::gripper::fake::{self, FakeScript, Fate, Seen};
-use crate::interfaces::admission::{Bounds, Class};
 use crate::interfaces::http::WebSettings;
 use crate::model::GripperStatus;
 

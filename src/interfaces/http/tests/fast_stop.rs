@@ -33,7 +33,7 @@ async fn fast_stop_does_not_wait_for_its_body() {
     let start = tokio::time::Instant::now();
     let answer = gateway.ask("POST", "/api/v1/fast-stop", never).await;
     assert_eq!((answer.status, &answer.body["confirmed"]), (200, &json!(["left"])));
-    assert!(start.elapsed() <= super::super::fast_stop::REASON_TIME + crate::gripper::handle::FAST_STOP_WAIT);
+    assert!(start.elapsed() <= super::super::requests::fast_stop::REASON_TIME + crate::gripper::handle::FAST_STOP_WAIT);
 }
 
 #[tokio::test(start_paused = true)]
@@ -45,7 +45,7 @@ async fn stop_does_not_wait_for_its_body() {
     assert_eq!(answer.status, 200);
     let Some(Seen::Submission(submission)) = gateway.seen.recv().await else { panic!("no Stop") };
     assert_eq!(submission.action, Action::Stop);
-    assert!(start.elapsed() <= super::super::fast_stop::REASON_TIME + crate::gripper::handle::FAST_STOP_WAIT);
+    assert!(start.elapsed() <= super::super::requests::fast_stop::REASON_TIME + crate::gripper::handle::FAST_STOP_WAIT);
 }
 
 #[tokio::test(start_paused = true)]

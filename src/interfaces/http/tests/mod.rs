@@ -2,6 +2,7 @@
 
 mod alarms;
 mod device;
+mod device_settings;
 mod documents;
 mod fast_stop;
 mod fleet;
@@ -10,7 +11,6 @@ mod journal;
 mod lease;
 mod motions;
 mod raw;
-mod settings;
 mod table;
 
 use std::collections::BTreeSet;
@@ -26,8 +26,8 @@ use serde_json::{Value, json};
 use tokio::sync::mpsc::UnboundedReceiver;
 use tower::ServiceExt;
 
-use super::asked::OperationPaths;
 use super::context::HttpContext;
+use super::requests::requested_operation::OperationPaths;
 use super::router::router;
 use crate::gripper::Rejection;
 use crate::gripper::fake::{self, FakeScript, Fate, Seen};

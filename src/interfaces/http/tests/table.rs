@@ -4,7 +4,7 @@ use serde_json::{Map, Value, json};
 
 use super::Gateway;
 use crate::gripper::fake::FakeScript;
-use crate::interfaces::http::unknown_path::ONLY_HTTP;
+use crate::interfaces::http::requests::unknown_path::ONLY_HTTP;
 use crate::interfaces::http::{API, openapi};
 use crate::operations::{Operation, all};
 

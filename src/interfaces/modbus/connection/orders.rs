@@ -11,13 +11,12 @@ use super::super::image::{Ended, number_of};
 use super::super::order::ModbusOrder;
 use super::pending::{OrderKind, OrderStep, Target};
 use super::{ClientLease, ModbusConnection};
+use crate::connections::admission::Class;
 use crate::gripper::{AcquiredLease, Handle};
-use crate::interfaces::admission::Class;
 use crate::model::clock;
 use crate::model::{LeaseToken, LossCause, Name, TakeLease};
-use crate::operations::{
-    Caller, Code, ConnectionLease, Effect, Method, OperationReply, call, fast_stop, lease, motion,
-};
+use crate::operations::gripper::{fast_stop, lease, motion};
+use crate::operations::{Caller, Code, ConnectionLease, Effect, Method, OperationReply, call};
 
 impl ModbusConnection {
     /// Returns the client of a request with its rights, which a reload can change.

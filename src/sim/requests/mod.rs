@@ -1,0 +1,8 @@
+//! Requests: their handling by kind, and their replies.
+
+mod commands;
+pub(crate) mod device_settings;
+pub(crate) mod getters;
+mod motions;
+pub(crate) mod replies;
+mod stops;

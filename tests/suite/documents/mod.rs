@@ -1,0 +1,4 @@
+//! Guides, and documents of the API.
+
+mod generated_names;
+mod guides;
