@@ -6,8 +6,8 @@
 //! motions always advance in steps of [`STEP`].
 //!
 //! Structure: `axis` moves the fingers by one step among the objects in `world`; `motion` and `grip` build motions
-//! from steps; `process` keeps the gripper state and the statistics. `commands`, `motions` and `stops` handle requests,
-//! `replies` and `link` send replies, and `tick` runs due timers. [`Change`] lists events from outside the protocol,
+//! from steps; `process` keeps the gripper state and the statistics. `commands`, `motions`, `steering` and `stops` handle
+//! requests, `replies` and `link` send replies, and `tick` runs due timers. [`Change`] lists events from outside the protocol,
 //! and [`FaultKind`] lists faults on the wire.
 //!
 //! Architecture invariant: no runtime, no clock, no randomness, and no imports from this crate except
@@ -40,6 +40,7 @@ mod replies;
 mod rulings_tests;
 mod settings;
 mod snapshot;
+mod steering;
 mod stops;
 mod thermal;
 mod tick;
@@ -59,6 +60,7 @@ pub use outbox::{MAX_QUEUED_FRAMES, MAX_QUEUED_REPLIES};
 pub use possible::ImpossibleChange;
 pub use received::{MAX_RECEIVED_FRAMES, ReceivedFrame};
 pub use snapshot::Snapshot;
+pub use steering::{SteeringConfig, SteeringScript};
 pub use world::{GripSide, Part};
 
 use faults::Faults;
@@ -70,6 +72,7 @@ use process::{MotionKind, Process};
 use received::ReceivedLog;
 use replies::{Late, PendingReply};
 use settings::DeviceSettings;
+use steering::Steering;
 use thermal::Thermal;
 
 /// The running motion. The ticket for its result is `None` if no client requested it.
@@ -109,6 +112,7 @@ pub struct Device {
     command_failed: bool,
     script_runs: bool,
     script_failed: bool,
+    steering: Steering,
 
     link: Option<Interface>,
     /// Connection number. A reply for an earlier connection is dropped.
@@ -163,8 +167,9 @@ impl Device {
             current_fault: false,
             current_fault_clears_at: None,
             command_failed: false,
-            script_runs: !config.scripts.is_empty(),
+            script_runs: config.has_script(),
             script_failed: false,
+            steering: Steering::new(now),
             link: None,
             connection: 0,
             announced: false,
