@@ -1,8 +1,10 @@
 """Steers independent devices, directly and through a gateway.
 
 usage: steering.py rate [SECONDS]             rate and age of the targets at 30, 50 and 100 Hz
-       steering.py stops [NUMBER [GRIPPERS]]  clients that are frozen, fall silent, or are stopped by another client, each
-                                              NUMBER times. Each Stop is counted at the device
+       steering.py stops [NUMBER [GRIPPERS [PERIOD_MS]]]
+                                              clients that are frozen, fall silent, or are stopped by another client, each
+                                              NUMBER times. Each Stop is counted at the device, whose script takes a
+                                              request per period
 """
 
 from __future__ import annotations
@@ -208,34 +210,33 @@ class Trials:
     """Trials of one gripper, one after another."""
 
     def __init__(self, devices: Devices, device: int, port: int) -> None:
-        self.devices, self.device, self.port = devices, device, port
-        # Time from the last target to the Stop, for each kind of trial.
+        self.devices, self.device = devices, device
+        self.client, self.other = Client(port), Driver(port)
+        # Time from the device's last answer to the Stop, for each kind of trial.
         self.times: dict[str, list[float]] = {"frozen": [], "silent": [], "stopped": []}
         self.missing: list[str] = []
+        # Stops of another client that a target waited for on the device. The script takes it after the Stop.
+        self.overtaken = 0
         # Targets that came too early after a Stop: the kind of the trial, and their time in ms after the client went on.
         self.following: list[tuple[str, int]] = []
 
     def run(self, number: int) -> None:
-        client, other = Client(self.port), Driver(self.port)
-        try:
-            for kind in [kind for kind in self.times for _ in range(number)]:
-                self.one(kind, client, other)
-        finally:
-            client.kill()
+        for kind in [kind for kind in self.times for _ in range(number)]:
+            self.one(kind)
 
-    def one(self, kind: str, client: Client, other: Driver) -> None:
+    def one(self, kind: str) -> None:
         first = len(self.devices.log(self.device))
         time.sleep(random.uniform(0.2, 0.7))
         if kind == "frozen":
-            client.signal(signal.SIGSTOP)
+            self.client.signal(signal.SIGSTOP)
         elif kind == "silent":
-            client.signal(signal.SIGUSR1)
+            self.client.signal(signal.SIGUSR1)
         else:
-            assert other.ask(b"", STOP)[0] == SUCCESS
+            assert self.other.ask(b"", STOP)[0] == SUCCESS
         if kind != "stopped":
             time.sleep(SILENCE_S + 0.3)
             resumed = time.monotonic()
-            client.signal(signal.SIGCONT if kind == "frozen" else signal.SIGUSR2)
+            self.client.signal(signal.SIGCONT if kind == "frozen" else signal.SIGUSR2)
         # The stream begins anew after the client has insisted and paused.
         deadline = time.monotonic() + 10
         while not self.ended(log := self.devices.log(self.device, first)) and time.monotonic() < deadline:
@@ -247,7 +248,8 @@ class Trials:
         stopped = log[stop][1]
         before = [entry for entry in log[:stop] if entry[0] == STEER]
         after = [entry for entry in log[stop:] if entry[0] == STEER]
-        self.times[kind].append(stopped - before[-1][1] if before else 0.0)
+        self.times[kind].append(stopped - before[-1][2] if before else 0.0)
+        self.overtaken += kind == "stopped" and any(entry[0] == STEER and entry[2] > stopped for entry in log[:stop])
         begins = stopped if kind == "stopped" else resumed
         early = [entry[1] - begins for entry in after if entry[1] < begins + INSISTS_S + PAUSES_S - 0.1]
         self.following += [(kind, round(passed * 1000)) for passed in early]
@@ -258,14 +260,15 @@ class Trials:
         return any(entry[0] == STEER for entry in log[stop:])
 
 
-def stops(number: int, grippers: int) -> bool:
-    halves = [Devices(grippers // 2 + 1, 0.005) for _ in range(2)]
+def stops(number: int, grippers: int, period_ms: int) -> bool:
+    halves = [Devices(grippers // 2 + 1, period_ms / 1000) for _ in range(2)]
     places = [(half, device) for half in halves for device in range(grippers // 2 + 1)]
     started = time.monotonic()
     with tempfile.TemporaryDirectory() as directory:
         gateway, ports = gateway_of([half.ports[device] for half, device in places], directory)
         # The last two steer as clients do whose network is bad: at 30 Hz, each target up to 100 ms late.
         healthy = [Client(port, 30, 0.1) for port in ports[-2:]]
+        # All are ready before the first trial, which their start would delay.
         trials = [Trials(*place, port) for place, port in zip(places[:-2], ports, strict=False)]
         share = -(-number // len(trials))
         threads = [threading.Thread(target=each.run, args=(share,)) for each in trials]
@@ -277,7 +280,7 @@ def stops(number: int, grippers: int) -> bool:
             unasked = [entry for half, device in places[-2:] for entry in half.log(device) if entry[0] != STEER]
             targets = sum(len(half.log(device)) for half, device in places[-2:])
         finally:
-            for client in healthy:
+            for client in [*healthy, *(each.client for each in trials)]:
                 client.kill()
             for half in halves:
                 half.kill()
@@ -289,7 +292,7 @@ def stops(number: int, grippers: int) -> bool:
         late = [found for found in times if found > SILENCE_S + LATE_S]
         early = [found for found in times if found < SILENCE_S]
         print(
-            f"{kind}: {len(times)} Stops, {min(times) * 1000:.1f} to {max(times) * 1000:.1f} ms after the last target, "
+            f"{kind}: {len(times)} Stops, {min(times) * 1000:.1f} to {max(times) * 1000:.1f} ms after the last answer, "
             f"median {statistics.median(times) * 1000:.1f} ms; {len(early)} early, {len(late)} later than {LATE_S * 1000:.0f} ms"
         )
         # Other work on the machine delays some.
@@ -297,7 +300,8 @@ def stops(number: int, grippers: int) -> bool:
     count = sum(len(each.times["stopped"]) for each in trials)
     following = [found for each in trials for found in each.following]
     missing = [kind for each in trials for kind in each.missing]
-    print(f"stopped by another client: {count} times; targets after any Stop: {following}; trials without a Stop: {missing}")
+    overtaken = sum(each.overtaken for each in trials)
+    print(f"stopped by another client: {count} times, {overtaken} of them while a target waited for the script; targets after any Stop: {following}; trials without a Stop: {missing}")
     print(f"healthy streams: {len(unasked)} Stops in {targets} targets")
     return is_right and not following and not missing and not unasked
 
@@ -307,8 +311,8 @@ def main() -> None:
         case ["rate", *more]:
             rate(float(more[0]) if more else 20)
         case ["stops", *more]:
-            number, grippers = [int(value) for value in more] + [100, 20][len(more) :]
-            sys.exit(0 if stops(number, grippers) else 1)
+            number, grippers, period_ms = [int(value) for value in more] + [100, 20, 5][len(more) :]
+            sys.exit(0 if stops(number, grippers, period_ms) else 1)
         case ["client", port, hz, jitter_s]:
             steer(int(port), float(hz), float(jitter_s))
         case _:

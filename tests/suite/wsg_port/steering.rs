@@ -144,7 +144,7 @@ async fn simulated_scripts_move_the_fingers_until_the_client_is_silent() {
         let state = gateway.until("the fingers stop", |state| state["moving"] == false).await;
         assert!(state["width_mm"].as_f64().unwrap() > 50.0, "{script}: {state}");
         // The watchdog of the script is faster than the gateway, which records a Stop of its own.
-        let expected = if script == "watchdog" { 0 } else { 1 };
+        let expected = usize::from(script != "watchdog");
         eventually("the record of the Stop", async || {
             let events = gateway.events("kind=device", 1).await;
             (events.iter().filter(|event| event["event"] == "stream_silent").count() == expected).then_some(())
