@@ -15,6 +15,9 @@ use wsg::{Speed, Width};
 /// Time between two targets that the gateway interpolates.
 const INTERPOLATED_EVERY: Duration = Duration::from_millis(10);
 
+/// Longest time that one step of a ramp stands for: the fingers stood still before it.
+const MAX_RAMP_STEP: Duration = Duration::from_millis(50);
+
 /// Change of the target below which nothing is sent: it is beyond the resolution of any gripper.
 const SAME_WIDTH_MM: f32 = 0.005;
 
@@ -245,7 +248,11 @@ impl ServoSession {
         let plan = self.plan.as_ref().filter(|_| self.is_ready)?;
         match (&plan.aim, self.sent) {
             (_, None) => Some(plan.begins_at),
-            (ServoAim::Width(_), Some(_)) => (!plan.is_sent).then_some(plan.begins_at),
+            (ServoAim::Width(_), Some(_)) if !plan.is_sent => Some(plan.begins_at),
+            (ServoAim::Width(width), Some(sent)) => {
+                let is_on_the_way = self.is_ramped() && (sent.aim.width_mm - width.mm()).abs() > SAME_WIDTH_MM;
+                is_on_the_way.then(|| sent.at + INTERPOLATED_EVERY)
+            }
             (ServoAim::Widths(..), Some(sent)) => {
                 let is_over = plan.is_sent && sent.at >= plan.ends_at();
                 (!is_over).then(|| plan.begins_at.max(sent.at + INTERPOLATED_EVERY))
@@ -253,17 +260,32 @@ impl ServoSession {
         }
     }
 
-    /// The target that the device gets now.
-    pub(super) fn due(&self, now: Instant) -> Option<DueTarget> {
+    /// Whether the script does not limit the speed, so that the gateway has to.
+    fn is_ramped(&self) -> bool {
+        self.adapter == ServoAdapter::PositionPd
+    }
+
+    /// The target that the device gets now, with fingers at `width_mm`, if that is known.
+    pub(super) fn due(&self, now: Instant, width_mm: Option<f32>) -> Option<DueTarget> {
         let plan = self.plan.as_ref().filter(|_| self.sends_at().is_some_and(|at| at <= now))?;
-        let width = Width::new(plan.aim_at(now).width_mm).ok()?;
+        let aim = plan.aim_at(now);
+        let to_mm = if self.is_ramped() { self.ramped(now, aim.width_mm, plan.speed, width_mm) } else { aim.width_mm };
+        let width = Width::new(to_mm).ok()?;
         Some(DueTarget { width, speed: plan.speed })
     }
 
+    /// The width on the way to a target that the fingers may have reached by now.
+    fn ramped(&self, now: Instant, target_mm: f32, speed: Speed, width_mm: Option<f32>) -> f32 {
+        let from_mm = self.sent.map_or(width_mm.unwrap_or(target_mm), |sent| sent.aim.width_mm);
+        let since = self.sent.map_or(INTERPOLATED_EVERY, |sent| now.saturating_duration_since(sent.at));
+        let way_mm = speed.mm_s() * since.min(MAX_RAMP_STEP).as_secs_f32();
+        from_mm + (target_mm - from_mm).clamp(-way_mm, way_mm)
+    }
+
     /// Notes that the device gets the target that was due.
-    pub(super) fn sent(&mut self, now: Instant, command: CommandId) {
+    pub(super) fn sent(&mut self, now: Instant, command: CommandId, target: DueTarget) {
         let Some(plan) = &mut self.plan else { return };
-        let aim = plan.aim_at(now);
+        let aim = Aim { width_mm: target.width.mm(), ..plan.aim_at(now) };
         plan.is_sent = true;
         let received_at = plan.received_at;
         if let Some(before) = self.sent.filter(|before| before.answered_at > Some(received_at)) {
@@ -315,9 +337,9 @@ impl ServoSession {
         true
     }
 
-    /// Time of the newest target that the device got.
-    pub(super) fn last_sent_at(&self) -> Option<Instant> {
-        self.sent.map(|sent| sent.at)
+    /// Whether the device has got a target.
+    pub(super) fn has_sent(&self) -> bool {
+        self.sent.is_some()
     }
 
     pub(super) fn travelled(&mut self, mm: f32) {

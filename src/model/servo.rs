@@ -23,7 +23,8 @@ const MAX_LAYOUT: usize = 16;
 pub enum ServoAdapter {
     /// The device's own motions (21h and 22h): a few targets a second, with a stop between them.
     Moves,
-    /// A script whose request has a width, a speed, two gains and two forces (25 bytes).
+    /// A script whose request has a width, a speed on arrival, two gains and two forces (25 bytes). It does not limit the
+    /// speed, so the gateway sends widths on the way to the target.
     PositionPd,
     /// A script whose request has a width and a speed (9 bytes).
     WidthSpeed,
@@ -62,12 +63,12 @@ pub enum LayoutField {
     ForceN,
 }
 
-/// Request of the script of a public project: width in mm, speed in mm/s, proportional and derivative gain, and the
-/// forces in N while travelling and while blocked.
+/// Request of the script of a public project: width in mm, speed on arrival in mm/s, proportional and derivative gain, and
+/// the forces in N while travelling and while blocked.
 const POSITION_PD: &[LayoutItem] = &[
     LayoutItem::Field(LayoutField::Zero),
     LayoutItem::Field(LayoutField::WidthMm),
-    LayoutItem::Field(LayoutField::SpeedMmS),
+    LayoutItem::Number(0.0),
     LayoutItem::Number(15.0),
     LayoutItem::Number(0.001),
     LayoutItem::Field(LayoutField::ForceN),

@@ -215,7 +215,8 @@ impl Device {
         let fails = self.script_runs && !runs;
         self.count_if(fails, FaultName::ScriptFailure);
         self.script_failed = fails;
-        self.script_runs = runs && !self.config.scripts.is_empty();
+        self.script_runs = runs && self.config.has_script();
+        self.steering.clear();
     }
 
     fn foreign_motion(&mut self, width_mm: f64, speed_mm_s: f64) {
@@ -244,7 +245,7 @@ impl Device {
         self.settings.restart(&self.config);
         self.fingers.iter_mut().for_each(super::fingers::FingerPort::restart);
         (self.fast_stopped, self.command_failed, self.muted) = (false, false, false);
-        (self.script_runs, self.script_failed) = (!self.config.scripts.is_empty(), false);
+        (self.script_runs, self.script_failed) = (self.config.has_script(), false);
         self.booting_until = Some(self.clock + Duration::from_millis(ready_after_ms.into()));
     }
 

@@ -7,6 +7,7 @@ use wsg::{ChecksumEvaluation, DeviceTag, Firmware, SoftLimits, Status, SystemLim
 use super::models::Model;
 use super::motion::axis::AxisDirection;
 use super::motion::world::Part;
+use super::requests::steering::SteeringConfig;
 
 /// Generation of the firmware, which determines the manual.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -109,6 +110,8 @@ pub struct DeviceConfig {
     /// Initial part between the jaws.
     pub part: Option<Part>,
     pub scripts: Vec<Script>,
+    /// A script that moves the fingers.
+    pub steering: SteeringConfig,
     /// Whether 43h returns a width before the first homing (fw4: 0, without updates on change).
     pub width_before_referencing: bool,
     /// Whether a request that switches automatic updates on gets a reply. The manuals leave it open.
@@ -166,6 +169,7 @@ impl DeviceConfig {
             overdrive: model.has_overdrive(),
             part: None,
             scripts: Vec::new(),
+            steering: SteeringConfig::default(),
             width_before_referencing: false,
             answers_update_requests: true,
             loop_is_pending: false,
@@ -231,6 +235,10 @@ impl DeviceConfig {
 
     pub(super) fn nominal_force_n(&self) -> f64 {
         f64::from(self.limits.nominal_force.n())
+    }
+
+    pub(super) fn has_script(&self) -> bool {
+        !self.scripts.is_empty() || self.steering.script.is_some()
     }
 
     /// Whether 38h can tare a sensor.

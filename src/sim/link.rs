@@ -157,6 +157,7 @@ impl Device {
         self.outbox.clear();
         self.chunks.clear();
         self.late.clear();
+        self.steering.clear();
         self.decoder = request_decoder(&self.config);
     }
 

@@ -47,6 +47,7 @@ pub use motion::axis::{AxisDirection, STEP};
 pub use motion::world::{GripSide, Part};
 pub use possible_changes::ImpossibleChange;
 pub use requests::getters::BrokenGetter;
+pub use requests::steering::{SteeringConfig, SteeringScript};
 pub use snapshot::Snapshot;
 
 use fingers::FingerPort;
@@ -58,6 +59,7 @@ use process::{MotionKind, Process};
 use requests::device_settings::DeviceSettings;
 use requests::getters::BrokenGetters;
 use requests::replies::{Late, PendingReply};
+use requests::steering::Steering;
 use thermal::Thermal;
 
 /// The running motion. The ticket for its result is `None` if no client requested it.
@@ -97,6 +99,7 @@ pub struct Device {
     command_failed: bool,
     script_runs: bool,
     script_failed: bool,
+    steering: Steering,
 
     link: Option<Interface>,
     /// Connection number. A reply for an earlier connection is dropped.
@@ -151,8 +154,9 @@ impl Device {
             current_fault: false,
             current_fault_clears_at: None,
             command_failed: false,
-            script_runs: !config.scripts.is_empty(),
+            script_runs: config.has_script(),
             script_failed: false,
+            steering: Steering::new(now),
             link: None,
             connection: 0,
             announced: false,

@@ -4,14 +4,16 @@ use std::ops::RangeInclusive;
 use std::str::FromStr;
 use std::time::Duration;
 
-use super::{AxisDirection, BadChecksum, DeviceConfig, FingerConfig, GripSide, Part, Script, ScriptAnswer};
+use super::{
+    AxisDirection, BadChecksum, DeviceConfig, FingerConfig, GripSide, Part, Script, ScriptAnswer, SteeringScript,
+};
 use wsg::{ChecksumEvaluation, DeviceTag, SoftLimits, Status, Width, id};
 
 /// Allowed values of a width.
 const WITHIN_STROKE: &str = "a width within the stroke";
 
 /// All options with their allowed values, as listed in the guide.
-const OPTIONS: [(&str, &str); 35] = [
+const OPTIONS: [(&str, &str); 38] = [
     ("part_mm", WITHIN_STROKE),
     ("part_side", "outside or inside"),
     ("part_stiffness_n_mm", "0.1 to 2000"),
@@ -34,6 +36,9 @@ const OPTIONS: [(&str, &str); 35] = [
     ("force_sensor_offset_n", "-100 to 100"),
     ("overdrive", "true or false"),
     ("script", "ID:echo, ID:measurement, ID:data:HEX or ID:status:CODE, e.g. B0:measurement"),
+    ("steering", "pd, width or watchdog"),
+    ("steering_period_ms", "1 to 1000"),
+    ("steering_delay_ms", "0 to 1000"),
     ("width_before_referencing", "true or false"),
     ("answers_update_requests", "true or false"),
     ("loop_is_pending", "true or false"),
@@ -112,6 +117,9 @@ fn apply(config: &mut DeviceConfig, option: &str, value: &str) -> Option<()> {
         "finger2" => config.fingers[1] = finger(value)?,
         "force_sensor_offset_n" => config.force_sensor_offset_n = within(value, -100.0..=100.0)?,
         "script" => config.scripts.push(script(value)?),
+        "steering" => config.steering.script = Some(steering(value)?),
+        "steering_period_ms" => config.steering.period = Duration::from_millis(within(value, 1..=1000)?),
+        "steering_delay_ms" => config.steering.delay = Duration::from_millis(within(value, 0..=1000)?),
         "early_acknowledge" => config.early_acknowledge = Status::from_code(value.parse().ok()?),
         "opposite_grip" => config.opposite_grip = Status::from_code(value.parse().ok()?),
         "ambient_c" => config.ambient_c = within(value, -40.0..=200.0)?,
@@ -164,6 +172,12 @@ fn finger(text: &str) -> Option<FingerConfig> {
     }
 }
 
+fn steering(text: &str) -> Option<SteeringScript> {
+    let scripts =
+        [("pd", SteeringScript::Pd), ("width", SteeringScript::Width), ("watchdog", SteeringScript::Watchdog)];
+    one_of(text, scripts)
+}
+
 fn script(text: &str) -> Option<Script> {
     let (id, answer) = text.split_once(':')?;
     let id = u8::from_str_radix(id, 16).ok().filter(|id| id::describe(*id).is_none())?;
@@ -209,6 +223,9 @@ mod tests {
         ("force_sensor_offset_n", "-1.5"),
         ("overdrive", "false"),
         ("script", "B0:status:14"),
+        ("steering", "pd"),
+        ("steering_period_ms", "10"),
+        ("steering_delay_ms", "5"),
         ("width_before_referencing", "true"),
         ("answers_update_requests", "false"),
         ("loop_is_pending", "true"),

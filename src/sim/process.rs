@@ -102,6 +102,15 @@ impl Process {
         }
     }
 
+    /// Ends the gripping process, because a script moves the fingers.
+    pub fn steered(&mut self) {
+        self.axis_stopped = false;
+        self.target_reached = false;
+        self.target_reached_at = None;
+        self.gripped = None;
+        self.state = GripperState::Idle;
+    }
+
     /// Sets TARGET_POS_REACHED, in fw4 after a delay. The gripper state stays: it tells how the motion ended.
     pub fn reached_target(&mut self, now: Instant) {
         self.target_reached = !self.is_fw4;

@@ -112,7 +112,7 @@ impl Device {
     }
 
     /// Width in mm, or 0 unless referenced (`fw4-en 3.4.4`).
-    fn shown_width_mm(&self) -> f64 {
+    pub(super) fn shown_width_mm(&self) -> f64 {
         let known = self.mechanics.referenced || self.config.width_before_referencing;
         if known { self.mechanics.width_mm() } else { 0.0 }
     }

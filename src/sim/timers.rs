@@ -49,6 +49,8 @@ impl Device {
             self.next_step,
             self.current_fault_clears_at,
             self.process.target_reached_at,
+            self.steering.due(),
+            self.steering.silent_at,
             self.fingers[0].powered_up_at,
             self.fingers[1].powered_up_at,
             self.late.iter().map(|late| late.at).min(),
@@ -77,6 +79,12 @@ impl Device {
         }
         if is_due(self.process.target_reached_at, now) {
             self.process.after_delay();
+        }
+        if is_due(self.steering.due(), now) {
+            self.run_steering();
+        }
+        if is_due(self.steering.silent_at, now) {
+            self.stop_silent_script();
         }
         for index in 0..self.fingers.len() {
             if is_due(self.fingers[index].powered_up_at, now) {

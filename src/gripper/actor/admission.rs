@@ -79,6 +79,9 @@ impl Actor {
         }
         self.streaming.stopped(now.instant);
         self.end_servo(now, ServoEnd::Stop);
+        if self.motion.is_streamed() {
+            self.streaming.watch_after_stop(now.instant);
+        }
         // An unwritten script would move the fingers after the Stop.
         self.withdraw_scripts(&Failure::StoppedFirst { command: "the custom command" }.into(), |_| true);
         let without_id;

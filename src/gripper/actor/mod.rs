@@ -69,7 +69,7 @@ use reads::Reads;
 use recording::Recording;
 use running::MotionState;
 use scripts::Scripts;
-use steering::Steering;
+use steering::ServoState;
 use streaming::Streaming;
 use transport::LinkProperties;
 use wsg::{Command, id};
@@ -110,7 +110,7 @@ pub struct Actor {
     recording: Recording,
     metering: Metering,
     streaming: Streaming,
-    servo: Steering,
+    servo: ServoState,
     scripts: Scripts,
     pacing: Pacing,
     unconfirmed: Unconfirmed,
@@ -157,7 +157,7 @@ impl Actor {
             ),
             metering: Metering::new(config.metrics.clone()),
             streaming: Streaming::default(),
-            servo: Steering::default(),
+            servo: ServoState::default(),
             scripts: Scripts::default(),
             pacing: Pacing::default(),
             unconfirmed: Unconfirmed::default(),

@@ -293,6 +293,12 @@ impl MotionState {
         self.running.as_ref().is_some_and(|running| matches!(running.motion, Motion::Home(_)) && !running.is_waiting())
     }
 
+    /// Whether a streamed command was submitted to the session, and has not ended.
+    pub(super) fn is_streamed(&self) -> bool {
+        let running = self.running.as_ref().filter(|running| running.is_streamed);
+        running.is_some_and(|running| matches!(running.stage, Stage::Sent(_)))
+    }
+
     /// Whether a motion was submitted to the session, or has ended and settles.
     pub(super) fn is_sent(&self) -> bool {
         self.running.as_ref().is_some_and(|running| !running.is_waiting())

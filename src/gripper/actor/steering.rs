@@ -22,12 +22,12 @@ use wsg::{Command, Data, Force, GripperState, MoveFlags, Reply, SystemState, Wid
 
 /// The open servo session, and what is known of the last one.
 #[derive(Debug, Default)]
-pub(super) struct Steering {
+pub(super) struct ServoState {
     session: Option<ServoSession>,
     last: Option<Arc<ServoReport>>,
 }
 
-impl Steering {
+impl ServoState {
     /// The open session, or the last one.
     pub(super) fn report(&self) -> Option<Arc<ServoReport>> {
         self.session.as_ref().map(|session| Arc::new(session.report())).or_else(|| self.last.clone())
@@ -205,20 +205,21 @@ impl Actor {
 
     /// Sends the newest target if the device can take it.
     pub(super) fn send_servo_target(&mut self, now: Now) {
+        let width_mm = self.observed.values.width_mm(now.instant);
         let is_due = self.servo_sends_at().is_some_and(|at| at <= now.instant);
         let Some(session) = self.servo.session.as_mut().filter(|_| is_due) else { return };
         if self.motion.is_under_way() {
             session.ended_motion_early();
             return self.link.send_stop(now, OwnStop::new(self.motion.id()));
         }
-        let Some(target) = session.due(now.instant) else { return };
+        let Some(target) = session.due(now.instant, width_mm) else { return };
         let is_script = session.adapter != ServoAdapter::Moves;
         // A script may need a target from time to time, although it has not changed.
         if !is_script && session.has_target(target) {
             return session.skip(now.instant);
         }
         match self.motion_of(target) {
-            Some(motion) => self.start_servo_motion(now, motion, is_script),
+            Some(motion) => self.start_servo_motion(now, target, motion, is_script),
             None => self.stop_servo(now, ServoEnd::Device),
         }
     }
@@ -234,12 +235,12 @@ impl Actor {
         Some(Motion::Custom(request))
     }
 
-    fn start_servo_motion(&mut self, now: Now, motion: Motion, is_script: bool) {
+    fn start_servo_motion(&mut self, now: Now, target: DueTarget, motion: Motion, is_script: bool) {
         // The values of a motion that settles belong to no record.
         self.end_running(now, false);
         let Some(session) = &mut self.servo.session else { return };
         let id = self.ids.command_id(now.wall);
-        session.sent(now.instant, id);
+        session.sent(now.instant, id, target);
         let submission = Submission {
             client: session.client.clone(),
             action: Action::Motion(motion.clone()),
@@ -297,14 +298,16 @@ impl Actor {
     /// Ends the session, and stops what it moves.
     pub(super) fn stop_servo(&mut self, now: Now, why: ServoEnd) {
         let Some(session) = &self.servo.session else { return };
-        let last_sent_at = session.last_sent_at();
+        let has_moved = session.has_sent();
         self.end_servo(now, why);
-        let Some(last_sent_at) = last_sent_at else { return };
+        if !has_moved {
+            return;
+        }
         self.withdraw_waiting_motion(now);
         if self.motion.is_under_way() || self.observed.has(SystemState::MOVING) {
             self.link.send_stop(now, OwnStop::new(self.motion.mover(now.instant)));
         }
-        self.streaming.watch_end_of_servo(last_sent_at, now.instant);
+        self.streaming.watch_after_stop(now.instant);
     }
 
     /// Ends a session without its lease.

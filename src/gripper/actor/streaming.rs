@@ -31,6 +31,9 @@ const MOVES_WITHIN: Duration = Duration::from_millis(200);
 /// Interval in which fingers are looked at that do not move yet.
 const LOOKS_EVERY: Duration = Duration::from_millis(20);
 
+/// Time for the fingers to slow down after a Stop.
+const STOPPED_WITHIN: Duration = Duration::from_millis(100);
+
 /// Time after which fingers that still move without a stream get another Stop, and the number of these Stops.
 const STOPPED_AGAIN_AFTER: Duration = Duration::from_millis(300);
 const MAX_STOPS: u32 = 3;
@@ -57,6 +60,8 @@ pub(super) struct Streaming {
     /// Number of Stops that fingers without a stream have got, and the time of the next look at them.
     stops: u32,
     looks_at: Option<Instant>,
+    /// Whether the stream or the servo session has ended with a Stop. A script can carry out a target that it got before.
+    has_ended: bool,
     held_off: Option<HeldOff>,
     /// Commands since the last record, by id and client. Bounded by the device's replies in a second.
     counted: HashMap<(u8, Client), u64>,
@@ -94,13 +99,15 @@ impl Streaming {
     /// Ends the watch over fingers that nobody steers.
     pub(super) fn watch_ended(&mut self) {
         (self.silent_since, self.looks_at, self.stops) = (None, None, 0);
+        self.has_ended = false;
     }
 
-    /// Stops the fingers again if they do not stop, or show late that they move, after a servo session has ended.
-    pub(super) fn watch_end_of_servo(&mut self, last_target_at: Instant, ended_at: Instant) {
-        self.silent_since = Some(last_target_at);
-        self.looks_at = Some(ended_at + STOPPED_AGAIN_AFTER);
+    /// Watches fingers that a Stop has just stopped, which move on if a script carries out a target that it got before.
+    pub(super) fn watch_after_stop(&mut self, now: Instant) {
+        self.silent_since = Some(now);
+        self.looks_at = Some(now + STOPPED_WITHIN);
         self.stops = 1;
+        self.has_ended = true;
     }
 
     /// Refuses a request of a stream that is held off.
@@ -118,7 +125,8 @@ impl Streaming {
     /// Notes the end of a streamed command.
     pub(super) fn answered(&mut self, now: Instant) {
         if let Some(since) = &mut self.silent_since {
-            (*since, self.looks_at) = (now, None);
+            *since = now;
+            self.looks_at = self.has_ended.then(|| now + LOOKS_EVERY);
         }
     }
 
@@ -169,9 +177,11 @@ impl Actor {
             return self.streaming.watch_ended();
         };
         let timeout = self.config.rules.custom_ids.stream_timeout;
+        let timeout = if self.streaming.has_ended { Duration::ZERO } else { timeout };
         let watched_until = since + timeout + MOVES_WITHIN + self.observed.period;
         if !self.observed.has(SystemState::MOVING) {
-            if self.streaming.stops > 0 || now.instant >= watched_until {
+            let has_stopped = self.streaming.stops > 0 && !self.streaming.has_ended;
+            if has_stopped || now.instant >= watched_until {
                 return self.streaming.watch_ended();
             }
             // The flags show a motion late.
@@ -180,6 +190,7 @@ impl Actor {
         }
         let raw_id = self.streaming.raw_id;
         let stops = self.streaming.stops;
+        let has_ended = self.streaming.has_ended;
         if stops == MAX_STOPS {
             tracing::warn!(gripper = %self.config.name, "the gripper did not stop");
             return self.streaming.watch_ended();
@@ -192,6 +203,7 @@ impl Actor {
         self.streaming.stopped(now.instant);
         self.streaming.silent_since = Some(since);
         self.streaming.stops = stops + 1;
+        self.streaming.has_ended = has_ended;
         self.streaming.looks_at = Some(now.instant + STOPPED_AGAIN_AFTER);
     }
 

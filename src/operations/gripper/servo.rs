@@ -94,7 +94,7 @@ pub struct StartServo {
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 #[schema(example = json!({"width_mm": 42.5}))]
-pub struct Target {
+pub struct AimServo {
     /// Target width in mm.
     #[schema(minimum = 0, maximum = 1000)]
     width_mm: f64,
@@ -141,7 +141,7 @@ async fn start(call: Call<StartServo>) -> Result<Json<ServoReport>, Problem> {
     steer(gripper, Steer::Start(terms)).await
 }
 
-async fn target(call: Call<Target>) -> Result<Json<ServoReport>, Problem> {
+async fn target(call: Call<AimServo>) -> Result<Json<ServoReport>, Problem> {
     let (gripper, fields) = call.gripper_and_fields()?;
     let gripper = gripper.with_lease(fields.lease.as_deref())?;
     let speed: Option<Speed> = fields.speed_mm_s.map(|mm_s| speed("speed_mm_s", mm_s)).transpose()?;

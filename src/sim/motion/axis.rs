@@ -116,6 +116,20 @@ impl Axis {
         progress
     }
 
+    /// Moves by one step towards a target that may have changed during the motion: the fingers brake before they turn
+    /// around, and to a lower speed. With a speed of 0, they brake until they stand still.
+    pub fn steer(&mut self, drive: &Drive, surfaces: &Surfaces) -> Progress {
+        let direction = AxisDirection::towards(self.position_mm, drive.target_mm);
+        let is_turning = self.speed_mm_s * direction.sign() < 0.0;
+        let stops = drive.speed_mm_s <= 0.0;
+        if is_turning || stops {
+            self.brake(drive.acceleration_mm_s2, surfaces);
+            return if stops && !self.is_moving() { Progress::Reached } else { Progress::Moving };
+        }
+        let slowest_mm_s = self.speed_mm_s.abs() - drive.acceleration_mm_s2 * STEP_S;
+        self.step(&Drive { speed_mm_s: drive.speed_mm_s.max(slowest_mm_s), ..*drive }, surfaces)
+    }
+
     /// Brakes for one step.
     pub fn brake(&mut self, deceleration_mm_s2: f64, surfaces: &Surfaces) {
         let direction = if self.speed_mm_s > 0.0 { AxisDirection::Opening } else { AxisDirection::Closing };

@@ -82,6 +82,17 @@ impl Mechanics {
         }
     }
 
+    /// The target of a script is reached, or the fingers press on: the script's next target follows.
+    pub(super) fn end_of_steering_step(&mut self, progress: Progress, pressing: u32) {
+        self.blocked = match progress {
+            Progress::Pressing(direction) if pressing >= BLOCK_STEPS => Some(direction),
+            _ => None,
+        };
+        if progress == Progress::Reached {
+            self.activity = Activity::Rest;
+        }
+    }
+
     pub(super) fn end_of_grip(&mut self, grown: GripProgress) -> Option<StepOutcome> {
         match grown {
             GripProgress::NotYet { pressing } => {

@@ -71,6 +71,11 @@ enum Activity {
         drive: Drive,
         pressing: u32,
     },
+    /// A script's newest target. The fingers press on where they are blocked.
+    Steer {
+        drive: Drive,
+        pressing: u32,
+    },
     Grip(Grip),
     Hold(Hold),
     /// Clamp on block: keeps pressing, and snaps to the target when freed (`fw4-en 3.2.2`).
@@ -133,6 +138,7 @@ impl Mechanics {
         match self.activity {
             Activity::Rest | Activity::Hold(_) => false,
             Activity::Clamp { .. } => self.axis.is_moving(),
+            Activity::Steer { pressing, .. } => pressing == 0,
             _ => true,
         }
     }
@@ -143,7 +149,8 @@ impl Mechanics {
             Activity::Seek { pressing, .. }
             | Activity::BackOff { pressing, .. }
             | Activity::Move { pressing, .. }
-            | Activity::Release { pressing, .. } => *pressing == 0,
+            | Activity::Release { pressing, .. }
+            | Activity::Steer { pressing, .. } => *pressing == 0,
             Activity::Grip(grip) => !grip.is_pressing(),
             _ => self.axis.is_moving(),
         }
@@ -184,6 +191,25 @@ impl Mechanics {
         };
     }
 
+    /// Moves the fingers towards a script's newest target. They keep their speed.
+    pub fn steer(&mut self, drive: Drive) {
+        self.block_stopped = false;
+        self.set_jammed(self.jammed.is_some());
+        self.steady = false;
+        let pressing = if let Activity::Steer { pressing, .. } = self.activity { pressing } else { 0 };
+        self.activity = Activity::Steer { drive, pressing };
+    }
+
+    /// Whether a script's target moves the fingers, or presses them on a part.
+    pub fn is_steered(&self) -> bool {
+        matches!(self.activity, Activity::Steer { .. })
+    }
+
+    /// Whether the fingers come to rest after a Stop or a FAST STOP.
+    pub fn is_stopping(&self) -> bool {
+        matches!(self.activity, Activity::Stopping | Activity::Braking)
+    }
+
     /// Stops the fingers. [`StepOutcome::Stopped`] follows when the fingers are at rest; at once if nothing moves. A
     /// held part stays held unless `let_go`. Ruling: a Stop resets the flag of a block while holding too (`fw4-en`
     /// Appendix B).
@@ -202,7 +228,7 @@ impl Mechanics {
             }
             _ => self.rest(),
         }
-        if matches!(self.activity, Activity::Stopping | Activity::Braking) { None } else { Some(StepOutcome::Stopped) }
+        if self.is_stopping() { None } else { Some(StepOutcome::Stopped) }
     }
 
     /// Stops the fingers the fastest way. A held part stays held unless `let_go`.
@@ -311,6 +337,13 @@ impl Mechanics {
                 let steps = *pressing;
                 self.end_of_release(progress, steps)
             }
+            Activity::Steer { drive, pressing } => {
+                let progress = self.axis.steer(drive, &surfaces);
+                count(pressing, progress);
+                let pressing = *pressing;
+                self.end_of_steering_step(progress, pressing);
+                None
+            }
             Activity::Grip(grip) => {
                 let grown = grip.step(&mut self.axis, &surfaces);
                 self.end_of_grip(grown)
@@ -366,7 +399,7 @@ impl Mechanics {
     fn enters_forbidden_range(&self, soft_limits: Option<SoftLimits>) -> bool {
         let homing = matches!(self.activity, Activity::Seek { .. } | Activity::BackOff { .. });
         let Some(limits) = soft_limits.filter(|_| self.referenced && !homing) else { return false };
-        if matches!(self.activity, Activity::Stopping | Activity::Braking) {
+        if self.is_stopping() {
             return false;
         }
         let minus_mm = f64::from(limits.minus().mm());

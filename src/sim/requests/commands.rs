@@ -48,7 +48,8 @@ impl Device {
                 false
             }
             _ if id::describe(id).is_some() => true,
-            _ => self.script_runs && self.config.scripts.iter().any(|script| script.id == id),
+            _ if !self.script_runs => false,
+            _ => self.config.steering.takes(id) || self.config.scripts.iter().any(|script| script.id == id),
         }
     }
 
@@ -79,6 +80,7 @@ impl Device {
             | Command::GetSpeed(updates)
             | Command::GetForce(updates) => self.query(id, updates),
             Command::FingerPower { finger, on } => self.finger_power(id, finger, on),
+            Command::Custom(custom) if self.config.steering.takes(id) => self.steering_request(&custom),
             Command::Custom(custom) => self.run_script(&custom),
             getter => match self.get(&getter) {
                 Ok(data) => self.answer(id, Reply::Success(data)),

@@ -5,4 +5,5 @@ pub(crate) mod device_settings;
 pub(crate) mod getters;
 mod motions;
 pub(crate) mod replies;
+pub(crate) mod steering;
 mod stops;

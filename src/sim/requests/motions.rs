@@ -77,7 +77,7 @@ impl Device {
 
     /// Clamps a target to the physical limits (`fw4-en 3.2.2`). Ruling: a target outside the soft limits is a range
     /// error, unless the fingers move towards the limits.
-    fn allowed_target(&self, width_mm: f64) -> Result<f64, Status> {
+    pub(super) fn allowed_target(&self, width_mm: f64) -> Result<f64, Status> {
         let width_mm = self.config.clamp_width_mm(width_mm);
         let target = Width::new(width_mm as f32).unwrap_or(Width::ZERO);
         match self.settings.soft_limits {
@@ -120,7 +120,7 @@ impl Device {
         Plan::Grip(Grip::new(drive, direction, nominal_mm, self.config.part_width_tolerance_mm))
     }
 
-    fn drive(&self, width_mm: f64, speed_mm_s: f64, force_limit_n: f64) -> Drive {
+    pub(super) fn drive(&self, width_mm: f64, speed_mm_s: f64, force_limit_n: f64) -> Drive {
         Drive {
             target_mm: self.mechanics.true_mm(width_mm),
             speed_mm_s: self.config.clamp_speed_mm_s(speed_mm_s),

@@ -65,7 +65,7 @@ impl Device {
     }
 
     /// Answers the stop requests and the stopped motion, in the configured order.
-    fn end_running(&mut self, stoppers: &[PendingReply], stopped_with: Status, result: Status) {
+    pub(super) fn end_running(&mut self, stoppers: &[PendingReply], stopped_with: Status, result: Status) {
         let stopped = self.running.take().and_then(|running| running.ticket);
         if self.config.stop_answers_first {
             self.answer_all(stoppers, stopped_with);

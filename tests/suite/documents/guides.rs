@@ -25,8 +25,8 @@ fn read(path: &str) -> String {
 /// The guides, and the README files that link to them.
 fn documents() -> Vec<PathBuf> {
     let guides = fs::read_dir(root().join("deploy/guide")).unwrap().map(|entry| entry.unwrap().path());
-    let others =
-        ["README.md", "src/README.md", "tests/README.md", "deploy/zenoh/README.md"].map(|path| root().join(path));
+    let others = ["README.md", "src/README.md", "tests/README.md", "deploy/device/README.md", "deploy/zenoh/README.md"];
+    let others = others.map(|path| root().join(path));
     guides.filter(|path| path.extension().is_some_and(|extension| extension == "md")).chain(others).collect()
 }
 

@@ -14,6 +14,7 @@ mod pty;
 pub mod scripted;
 mod simulator;
 mod socket;
+mod steered;
 pub mod wsg;
 pub mod zenoh;
 
@@ -30,6 +31,7 @@ pub use pty::on_pty;
 pub use scripted::{Scripted, Table, success};
 pub use simulator::Simulator;
 pub use socket::{Socket, request as socket_request};
+pub use steered::{STEER, Steered, Target};
 pub use zenoh::ZenohClient;
 
 /// Deadline for anything without a time limit of its own. A busy machine is slow but still correct.

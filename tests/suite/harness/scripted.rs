@@ -13,7 +13,7 @@ use tokio::task::JoinHandle;
 use super::frames::Frames;
 
 /// Period of updates once any are on.
-const UPDATE_EVERY: Duration = Duration::from_millis(10);
+pub(super) const UPDATE_EVERY: Duration = Duration::from_millis(10);
 
 /// Payloads that answer each id, one frame each. An empty list is silence.
 pub type Table = BTreeMap<u8, Vec<Vec<u8>>>;
@@ -61,7 +61,7 @@ impl Drop for Scripted {
     }
 }
 
-fn idle() -> Table {
+pub(super) fn idle() -> Table {
     let floats = |values: &[f32]| success(&values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<_>>());
     let answers = [
         (0x07, success(&[])),

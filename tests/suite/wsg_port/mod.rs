@@ -10,6 +10,7 @@ mod link;
 mod malformed;
 mod manual;
 mod replays;
+mod steering;
 mod streams;
 mod together;
 mod udp;

@@ -285,7 +285,7 @@ fn moves_end_early_for_a_newer_target() {
 }
 
 #[test]
-fn script_gets_gains_and_forces_in_25_bytes_after_its_force_limit() {
+fn script_without_a_limit_of_speed_gets_widths_on_the_way_after_its_force_limit() {
     let mut rig = unsteered(ServoAdapter::PositionPd);
     assert!(rig.start(terms()).is_err(), "the script needs a force");
     rig.device.held = [id::SET_FORCE_LIMIT].into();
@@ -297,7 +297,13 @@ fn script_gets_gains_and_forces_in_25_bytes_after_its_force_limit() {
     let payload = rig.device.received.iter().find(|(id, _)| *id == SCRIPT).map(|(_, payload)| payload.clone()).unwrap();
     let floats: Vec<_> = (1..25).step_by(4).map(|from| float(&payload, from)).collect();
     assert_eq!((payload.len(), payload[0]), (25, 0));
-    assert_eq!(floats, [30.0, 100.0, 15.0, 0.001, 20.0, 20.0]);
+    assert_eq!(floats, [1.0, 0.0, 15.0, 0.001, 20.0, 20.0], "1 mm in 10 ms");
+    rig.pass_moving(180);
+    rig.aim(2.5).unwrap();
+    rig.pass_moving(190);
+    assert_eq!(rig.script_got().last().map(|(mm, _)| *mm), Some(2.5));
+    let steps = rig.script_got();
+    assert!(steps.windows(2).all(|pair| (pair[1].0 - pair[0].0).abs() <= 1.001), "{steps:?}");
 }
 
 #[test]

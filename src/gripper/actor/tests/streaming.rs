@@ -84,6 +84,21 @@ fn fingers_that_do_not_stop_get_more_stops() {
 }
 
 #[test]
+fn target_that_a_script_carries_out_after_a_stop_gets_another_stop() {
+    let (mut rig, token) = steered();
+    rig.device.held = [SCRIPT].into();
+    rig.target(&token).unwrap();
+    rig.submit(Action::Stop, &LeaseToken::generate()).unwrap();
+    assert_eq!(rig.count(id::STOP), 1);
+    rig.pass_with_flags(20, SystemState::empty());
+    rig.reply(SCRIPT, Status::E_SUCCESS, &[]);
+    rig.pass_with_flags(30, SystemState::MOVING);
+    assert_eq!(rig.count(id::STOP), 2, "the script has kept the target");
+    rig.pass_with_flags(1000, SystemState::empty());
+    assert_eq!(rig.count(id::STOP), 2);
+}
+
+#[test]
 fn motion_that_shows_late_is_stopped() {
     let (mut rig, token) = steered();
     rig.target(&token).unwrap();
