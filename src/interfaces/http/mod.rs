@@ -23,12 +23,7 @@ pub use router::openapi;
 pub use server::{Listeners, ServerLimits, listen, serve};
 pub use web_settings::WebSettings;
 
-/// Makes the AsyncAPI document anew, as YAML. [`ASYNCAPI`] is the checked-in one.
-pub fn asyncapi() -> Result<String, serde_saphyr::ser::Error> {
-    documents::asyncapi::yaml(&openapi())
-}
-
-/// Makes the AsyncAPI document anew.
+/// Makes the AsyncAPI document anew. [`ASYNCAPI`] is the checked-in one.
 #[must_use]
 pub fn asyncapi_document() -> serde_json::Value {
     documents::asyncapi::document(&openapi())

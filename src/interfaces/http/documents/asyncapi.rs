@@ -134,11 +134,6 @@ impl Contents {
     }
 }
 
-/// Returns the document as YAML.
-pub fn yaml(openapi: &Value) -> Result<String, serde_saphyr::ser::Error> {
-    serde_saphyr::to_string(&document(openapi))
-}
-
 fn reference(place: &str, name: &str) -> Value {
     json!({"$ref": format!("#/{place}/{name}")})
 }
