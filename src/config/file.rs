@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use toml::Spanned;
 
-use super::{ConfigError, ConfigPlace, Content, GripperConfig, GripperContent, Placed, WsgPort, parse_device};
+use super::{ConfigError, ConfigPlace, Content, Placed};
 use crate::settings::{self, SettingError};
 
 /// A parsed file, with its text for finding line numbers. The default stands for no file.
@@ -69,22 +69,6 @@ impl File {
             return Some(Placed { value: value.clone(), place: ConfigPlace::Flag(flag) });
         }
         in_file.map(|value| Placed { value: value.get_ref().clone(), place: self.place(value.span().start) })
-    }
-
-    pub(super) fn grippers(&self) -> Result<Vec<GripperConfig>, ConfigError> {
-        let mut grippers = Vec::new();
-        for (name, GripperContent { url, modbus_unit, wsg_port, rules }) in &self.content.grippers {
-            let place = self.place(url.span().start);
-            grippers.push(GripperConfig {
-                name: name.get_ref().parse().map_err(|error| ConfigError::at(&self.place(name.span().start), error))?,
-                device: parse_device(url.get_ref(), &place)?,
-                rules: rules.clone(),
-                wsg_port: WsgPort::of_file(self, wsg_port)?,
-                modbus_unit: *modbus_unit,
-                place,
-            });
-        }
-        Ok(grippers)
     }
 }
 

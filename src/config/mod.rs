@@ -227,7 +227,7 @@ fn grippers(flags: &Flags, file: &File, insecure: bool) -> Result<Vec<GripperCon
     let mut configured = if !flags.grippers.is_empty() {
         parse_grippers(&flags.grippers, &ConfigPlace::Flag("--gripper"))?
     } else if !file.content.grippers.is_empty() {
-        file.grippers()?
+        grippers_of(file)?
     } else {
         parse_grippers(&DEFAULT_GRIPPERS.map(str::to_owned), &ConfigPlace::Default)?
     };
@@ -298,6 +298,23 @@ fn parse_gripper(text: &str, place: &ConfigPlace) -> Result<GripperConfig, Confi
         modbus_unit: None,
         place: place.clone(),
     })
+}
+
+/// Returns the grippers of a file.
+fn grippers_of(file: &File) -> Result<Vec<GripperConfig>, ConfigError> {
+    let mut grippers = Vec::new();
+    for (name, GripperContent { url, modbus_unit, wsg_port, rules }) in &file.content.grippers {
+        let place = file.place(url.span().start);
+        grippers.push(GripperConfig {
+            name: name.get_ref().parse().map_err(|error| ConfigError::at(&file.place(name.span().start), error))?,
+            device: parse_device(url.get_ref(), &place)?,
+            rules: rules.clone(),
+            wsg_port: WsgPort::of_content(wsg_port, |offset| file.place(offset))?,
+            modbus_unit: *modbus_unit,
+            place,
+        });
+    }
+    Ok(grippers)
 }
 
 fn parse_device(url: &str, place: &ConfigPlace) -> Result<DeviceSource, ConfigError> {

@@ -8,7 +8,7 @@ use serde::Deserialize;
 use toml::Spanned;
 use url::Url;
 
-use super::{Config, ConfigError, ConfigPlace, DeviceSource, File, GripperConfig, Zenoh};
+use super::{Config, ConfigError, ConfigPlace, DeviceSource, GripperConfig, Zenoh};
 use crate::interfaces::wsg_port::{Datagrams, LOST_AFTER, ListenAddress, Rules};
 use crate::model::Name;
 use crate::settings::{optional, settings};
@@ -120,11 +120,14 @@ pub(super) enum OneOrMore {
 
 impl WsgPort {
     /// Parses the keys in a file.
-    pub(super) fn of_file(file: &File, content: &WsgPortContent) -> Result<Self, ConfigError> {
+    pub(super) fn of_content(
+        content: &WsgPortContent,
+        place_of: impl FnOnce(usize) -> ConfigPlace,
+    ) -> Result<Self, ConfigError> {
         let WsgPortContent { addresses, rules } = content;
         let mut port = Self { addresses: Vec::new(), rules: rules.clone() };
         if let Some(addresses) = addresses {
-            let place = file.place(addresses.span().start);
+            let place = place_of(addresses.span().start);
             let texts = match addresses.get_ref() {
                 OneOrMore::One(text) => std::slice::from_ref(text),
                 OneOrMore::More(texts) => texts,

@@ -40,6 +40,11 @@ pub(super) struct Tip {
 }
 
 impl Tip {
+    /// Reads a sequence number and a hash.
+    pub(super) fn of_row(row: &rusqlite::Row<'_>) -> rusqlite::Result<Self> {
+        Ok(Self { seq: row.get(0)?, hash: row.get(1)? })
+    }
+
     /// Returns the end after one more record.
     pub(super) fn next(&self, body: &[u8], curve: &[u8]) -> Self {
         Self { seq: self.seq + 1, hash: hash(&self.hash, body, curve) }

@@ -18,7 +18,7 @@ use uuid::Uuid;
 use super::chain::{Chain, Tip};
 use super::identity;
 use super::source::JournalLocation;
-use super::store::{Store, anchor, real, tip};
+use super::store::{Store, anchor, end_of, real};
 use crate::model::GatewayEvent;
 
 /// Length of the file in bytes. Each write replaces all of them, so that none of an earlier one is left.
@@ -38,7 +38,7 @@ impl Head {
 
     /// Reads the head of a journal at this moment.
     pub(super) fn read(connection: &Connection) -> rusqlite::Result<Self> {
-        Ok(Self([end(connection, Chain::Events)?, end(connection, Chain::Grips)?]))
+        Ok(Self([end_of(connection, Chain::Events)?, end_of(connection, Chain::Grips)?]))
     }
 
     pub(super) fn event(self) -> GatewayEvent {
@@ -78,21 +78,13 @@ impl Head {
                 Some(hash) if hash == tip.hash => {}
                 Some(_) => differences.push(format!("{name} {}: another record than its head names", tip.seq)),
                 None => {
-                    let first = end(connection, chain)?.seq + 1;
+                    let first = end_of(connection, chain)?.seq + 1;
                     differences.push(format!("{name} {first} to {}: missing, but its head names the last", tip.seq));
                 }
             }
         }
         Ok(differences)
     }
-}
-
-/// Returns the newest record of a chain; the last removed one if none is left.
-pub(super) fn end(connection: &Connection, chain: Chain) -> rusqlite::Result<Tip> {
-    let newest = format!("SELECT seq, hash FROM {} ORDER BY seq DESC LIMIT 1", chain.name());
-    let newest = connection.query_row(&newest, [], tip).optional()?;
-    let removed = anchor(connection, chain)?;
-    Ok(newest.filter(|newest| newest.seq >= removed.seq).unwrap_or(removed))
 }
 
 /// Writes `EVENT:HASH:GRIP:HASH`.

@@ -9,7 +9,7 @@ use rusqlite::{Connection, OptionalExtension as _, Transaction, params};
 use sha2::{Digest, Sha256};
 
 use super::chain::{Chain, Hash, Tip};
-use super::store::{anchor, remove_spans, tip};
+use super::store::{anchor, remove_spans};
 use crate::model::{GatewayEvent, KeptShare};
 
 /// SQL that creates the table of entries. `previous` is the hash of the event before, `link` the entry's link, and
@@ -74,14 +74,14 @@ pub(super) fn link(previous: &Hash, seq: i64, event: &Hash) -> Hash {
 /// Returns the entry before the first of a share.
 pub(super) fn beginning(connection: &Connection, share: Share) -> rusqlite::Result<Tip> {
     let sql = "SELECT seq, hash FROM anchors WHERE chain = ?";
-    let tip = connection.query_row(sql, [share.anchor()], tip).optional()?;
+    let tip = connection.query_row(sql, [share.anchor()], Tip::of_row).optional()?;
     Ok(tip.unwrap_or_default())
 }
 
 /// Returns the newest entry of a share; the one before the first if the share is empty.
 pub(super) fn end(connection: &Connection, share: Share) -> rusqlite::Result<Tip> {
     let sql = "SELECT seq, link FROM kept WHERE share = ? ORDER BY seq DESC LIMIT 1";
-    match connection.query_row(sql, [share.name()], tip).optional()? {
+    match connection.query_row(sql, [share.name()], Tip::of_row).optional()? {
         Some(tip) => Ok(tip),
         None => beginning(connection, share),
     }
@@ -152,7 +152,7 @@ pub(super) fn trim(transaction: &Transaction<'_>, limit: KeptLimit, step: i64) -
             if !is_beyond {
                 break;
             }
-            removed = Some(tip(row)?);
+            removed = Some(Tip::of_row(row)?);
         }
         if let Some(removed) = removed {
             remove(transaction, share, removed)?;

@@ -10,12 +10,12 @@ use std::time::Duration;
 use rusqlite::{Connection, OptionalExtension, Transaction, TransactionBehavior, params};
 
 use super::chain::{Chain, Tip, memory_hash};
+use super::kept_events;
 use super::presence::FilePresence;
 use super::reading::statistics;
 use super::row::{EventKind, Row, word};
 use super::schema::{self, APPLICATION_ID, Content, SPAN_BITS, VERSION, content};
 use super::source::{BUSY_TIMEOUT, JournalLocation, Source, no_file};
-use super::{head, kept_events};
 use crate::model::{Name, PersistedKey};
 
 /// Size limit of the write-ahead log in bytes, while no reader needs more of it.
@@ -126,7 +126,7 @@ impl Store {
     }
 
     pub(super) fn end(&self, chain: Chain) -> rusqlite::Result<Tip> {
-        head::end(&self.connection, chain)
+        end_of(&self.connection, chain)
     }
 
     /// Returns the ends of the chains of events and grip records.
@@ -169,15 +169,18 @@ impl Store {
     }
 }
 
-/// Reads a sequence number and a hash.
-pub(super) fn tip(row: &rusqlite::Row<'_>) -> rusqlite::Result<Tip> {
-    Ok(Tip { seq: row.get(0)?, hash: row.get(1)? })
-}
-
 /// Returns the last removed record of a chain; the chain's beginning if none was removed.
 pub(super) fn anchor(connection: &Connection, chain: Chain) -> rusqlite::Result<Tip> {
-    let anchor = connection.query_row("SELECT seq, hash FROM anchors WHERE chain = ?", [chain.name()], tip);
+    let anchor = connection.query_row("SELECT seq, hash FROM anchors WHERE chain = ?", [chain.name()], Tip::of_row);
     Ok(anchor.optional()?.unwrap_or_default())
+}
+
+/// Returns the newest record of a chain; the last removed one if none is left.
+pub(super) fn end_of(connection: &Connection, chain: Chain) -> rusqlite::Result<Tip> {
+    let newest = format!("SELECT seq, hash FROM {} ORDER BY seq DESC LIMIT 1", chain.name());
+    let newest = connection.query_row(&newest, [], Tip::of_row).optional()?;
+    let removed = anchor(connection, chain)?;
+    Ok(newest.filter(|newest| newest.seq >= removed.seq).unwrap_or(removed))
 }
 
 /// Removes the spans without records among those of removed records, from `first` to `last`.

@@ -7,7 +7,10 @@ use serde::{Deserialize, Serialize};
 use strum::{EnumMessage, VariantArray};
 use utoipa::ToSchema;
 
-use super::HolderName;
+use super::ShownName;
+
+/// Name that a lease holder gives itself.
+pub type HolderName = ShownName<32>;
 
 /// Interface through which a client reached the gateway.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema, EnumMessage, VariantArray)]

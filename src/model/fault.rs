@@ -1,6 +1,46 @@
 //! Conditions that need an action before a gripper can move again.
 
-use super::FastStopCause;
+use serde::{Deserialize, Serialize};
+use strum::{EnumMessage, VariantArray};
+use utoipa::ToSchema;
+
+/// Cause of a FAST STOP.
+#[derive(
+    Debug,
+    Clone,
+    Copy,
+    PartialEq,
+    Eq,
+    Hash,
+    Serialize,
+    Deserialize,
+    ToSchema,
+    strum::IntoStaticStr,
+    VariantArray,
+    EnumMessage,
+)]
+#[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
+pub enum FastStopCause {
+    /// A client requested it.
+    Requested,
+    /// The lease holder was lost.
+    ClientLost,
+    /// The gateway's own connection to the device ended without an announcement.
+    UnannouncedDisconnect,
+    /// The temperature is critical (`TEMP_FAULT`).
+    TemperatureFault,
+    /// The supply voltage is out of range (`POWER_FAULT`).
+    PowerFault,
+    /// The motor reached its thermal limit (`CURR_FAULT`).
+    CurrentFault,
+    /// A finger reported a fault (`FINGER_FAULT`).
+    FingerFault,
+    /// The fingers moved into a range that the soft limits forbid.
+    SoftLimit,
+    /// The device is in FAST STOP, and its flags do not show why.
+    Unknown,
+}
 
 /// Condition that needs an action of a person or a program. Without one, the gripper accepts motions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

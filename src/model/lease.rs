@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use strum::{EnumMessage, VariantArray};
 use utoipa::ToSchema;
 
-use super::{Client, ShownName};
+use super::{Client, HolderName};
 use settings::{SettingValue, between, parsed, settings, whole};
 
 /// Time to live of a lease without use, unless the client asks for another.
@@ -19,9 +19,6 @@ pub const DEFAULT_TTL: Duration = Duration::from_secs(3);
 pub const MIN_TTL: Duration = Duration::from_millis(100);
 
 pub const MAX_TTL: Duration = Duration::from_mins(1);
-
-/// Name that a lease holder gives itself.
-pub type HolderName = ShownName<32>;
 
 /// Proof that a request comes from the lease holder: 128 random bits as hex, or any text that a client sends instead.
 #[derive(Clone, PartialEq, Eq, Serialize, ToSchema)]

@@ -39,7 +39,7 @@ mod urgency;
 mod values;
 
 pub use alarm::{Alarm, AlarmCause, AlarmEvent, AlarmKind, AlarmPriority, AlarmStep};
-pub use client::{Client, ClientLabel, Door};
+pub use client::{Client, ClientLabel, Door, HolderName};
 pub use clock::Now;
 pub use code::Code;
 pub use custom::CustomIds;
@@ -47,12 +47,11 @@ pub use event::{
     AcknowledgeEvent, Admitted, CommandEvent, Detail, DeviceEvent, Done, Event, FastStopEvent, FastStopStep,
     FingerSetChange, GatewayEvent, KeptShare, LinkEvent, RefusedEvent, SettingChange, SettingsEvent,
 };
-pub use fault::Fault;
+pub use fault::{FastStopCause, Fault};
 pub use frame::{DamageRecord, FrameDirection, FrameRecord, WireDamage, WireRecord};
 pub use ids::{AlarmId, CommandId, FastStopId, IdSource};
 pub use lease::{
-    HolderName, Lease, LeaseEvent, LeaseRules, LeaseStep, LeaseToken, LossCause, LossEffect, OnLossHolding,
-    OnLossMoving, TakeLease,
+    Lease, LeaseEvent, LeaseRules, LeaseStep, LeaseToken, LossCause, LossEffect, OnLossHolding, OnLossMoving, TakeLease,
 };
 pub use measured::{Measured, Missing};
 pub use parameters::{Direction, OnBlock, Parameters};
@@ -64,7 +63,7 @@ pub use record::{GripRecord, OnJournalFailure, PersistedKey, PersistedState, Req
 pub use report::CommandReport;
 pub use rules::{GripperRules, SharedRules};
 pub use servo::{ServoAdapter, ServoAim, ServoEnd, ServoReport, ServoRules, ServoTarget, ServoTerms, Steer};
-pub use state::{FastStopCause, Latch, LatchFields, Link, State, Telemetry};
+pub use state::{Latch, LatchFields, Link, State, Telemetry};
 pub use status::GripperStatus;
 pub use text::{FingerSetId, InvalidShownName, PartId, Reason, RequestId, ShownName, Text, without_byte_order_mark};
 pub use updates::{UpdateMode, UpdateRules};

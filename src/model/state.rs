@@ -8,7 +8,7 @@ use strum::{EnumMessage, VariantArray};
 use utoipa::ToSchema;
 
 use super::values::{MeasuredFields, Values};
-use super::{CommandId, FastStopId, Fault, Name, Outcome, Reason, ServoReport};
+use super::{CommandId, FastStopCause, FastStopId, Fault, Name, Outcome, Reason, ServoReport};
 use crate::Now;
 
 /// Connection state of the device link.
@@ -26,44 +26,6 @@ pub enum Link {
     Reconnecting,
     /// Closed by a `disconnect` request; the gateway connects again after a `connect` request.
     Released,
-}
-
-/// Cause of a FAST STOP.
-#[derive(
-    Debug,
-    Clone,
-    Copy,
-    PartialEq,
-    Eq,
-    Hash,
-    Serialize,
-    Deserialize,
-    ToSchema,
-    strum::IntoStaticStr,
-    VariantArray,
-    EnumMessage,
-)]
-#[serde(rename_all = "snake_case")]
-#[strum(serialize_all = "snake_case")]
-pub enum FastStopCause {
-    /// A client requested it.
-    Requested,
-    /// The lease holder was lost.
-    ClientLost,
-    /// The gateway's own connection to the device ended without an announcement.
-    UnannouncedDisconnect,
-    /// The temperature is critical (`TEMP_FAULT`).
-    TemperatureFault,
-    /// The supply voltage is out of range (`POWER_FAULT`).
-    PowerFault,
-    /// The motor reached its thermal limit (`CURR_FAULT`).
-    CurrentFault,
-    /// A finger reported a fault (`FINGER_FAULT`).
-    FingerFault,
-    /// The fingers moved into a range that the soft limits forbid.
-    SoftLimit,
-    /// The device is in FAST STOP, and its flags do not show why.
-    Unknown,
 }
 
 /// A FAST STOP that stays latched until it is acknowledged by its id.

@@ -4,18 +4,36 @@ use std::time::Duration;
 
 use wsg::{ChecksumEvaluation, DeviceTag, Firmware, SoftLimits, Status, SystemLimits};
 
-use super::models::Model;
+use super::models::{Generation, Model};
 use super::motion::axis::AxisDirection;
 use super::motion::world::Part;
-use super::requests::steering::SteeringConfig;
 
-/// Generation of the firmware, which determines the manual.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum Generation {
-    /// Firmware 2: no ERROR state, no temperature, no finger interface.
-    Fw2,
-    /// Firmware 4.
-    Fw4,
+/// A script that steers the fingers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SteeringScript {
+    /// B1h with a position in mm, a speed in mm/s, two gains and two force limits in N. The script sets the speed with
+    /// each request, and the fingers keep it until the next one.
+    Pd,
+    /// B1h with a width in mm and a speed in mm/s, and B2h with a speed.
+    Width,
+    /// The script of `deploy/device`: B4h with a width in mm and a speed in mm/s.
+    Watchdog,
+}
+
+/// Steering of a device.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SteeringConfig {
+    pub script: Option<SteeringScript>,
+    /// Time that the script needs for a request: it takes the next one after this time.
+    pub period: Duration,
+    /// Time from a request's arrival until the script can take it.
+    pub delay: Duration,
+}
+
+impl Default for SteeringConfig {
+    fn default() -> Self {
+        Self { script: None, period: Duration::from_millis(25), delay: Duration::ZERO }
+    }
 }
 
 /// Reaction to a request with a wrong checksum, which the manuals leave open.

@@ -37,17 +37,16 @@ mod timers;
 mod updates_tests;
 
 pub use change::Change;
-pub use config::{BadChecksum, DeviceConfig, FingerConfig, Generation, Script, ScriptAnswer};
+pub use config::{BadChecksum, DeviceConfig, FingerConfig, Script, ScriptAnswer, SteeringConfig, SteeringScript};
 pub use link::faults::{FaultCounts, FaultKind, FaultName, MAX_ARMED_FAULTS};
 pub use link::outbox::{MAX_QUEUED_FRAMES, MAX_QUEUED_REPLIES};
 pub use link::received::{MAX_RECEIVED_FRAMES, ReceivedFrame};
 pub use link::{Interface, LinkAction};
-pub use models::Model;
+pub use models::{Generation, Model};
 pub use motion::axis::{AxisDirection, STEP};
 pub use motion::world::{GripSide, Part};
 pub use possible_changes::ImpossibleChange;
 pub use requests::getters::BrokenGetter;
-pub use requests::steering::{SteeringConfig, SteeringScript};
 pub use snapshot::Snapshot;
 
 use fingers::FingerPort;

@@ -5,7 +5,14 @@
 
 use wsg::{Acceleration, DeviceType, Force, Speed, SystemLimits, Width};
 
-use super::config::Generation;
+/// Generation of the firmware, which determines the manual.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Generation {
+    /// Firmware 2: no ERROR state, no temperature, no finger interface.
+    Fw2,
+    /// Firmware 4.
+    Fw4,
+}
 
 /// A gripper model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]

@@ -22,9 +22,9 @@ use url::Url;
 use crate::gripper::Connector;
 use crate::model::clock;
 use crate::sim::{Device, DeviceConfig};
-use crate::transport::{LinkProperties, Pipe};
+use crate::transport::{Address, LinkProperties, Pipe};
 pub use pump::Switch;
-pub use serve::{ServedDevice, serve, serve_simulated};
+pub use serve::{serve, serve_simulated};
 use wire::Wire;
 
 /// Capacity of a pipe in this process, in bytes and each direction: about what a socket would hold of small frames.
@@ -41,6 +41,16 @@ const PROPERTIES: LinkProperties = LinkProperties {
     may_duplicate: false,
     frame_gap: Duration::from_millis(500),
 };
+
+/// A simulated device that a gateway can connect to.
+#[derive(Debug, Clone)]
+pub struct ServedDevice {
+    /// Address for a gateway to connect to.
+    pub address: Address,
+    pub model: &'static str,
+    /// Switch of the device. When the last copy is dropped, the device is switched off.
+    pub switch: Switch,
+}
 
 /// A device to simulate: `sim://wsg50?part_mm=20`.
 #[derive(Debug, Clone)]

@@ -7,19 +7,9 @@ use anyhow::{Context as _, anyhow};
 use url::Url;
 
 use super::wire::Wire;
-use super::{SimulatedDevice, Switch, control, pump};
+use super::{ServedDevice, SimulatedDevice, control, pump};
 use crate::model::clock;
 use crate::sim::Device;
-use crate::transport::Address;
-
-#[derive(Debug, Clone)]
-pub struct ServedDevice {
-    /// Address for a gateway to connect to.
-    pub address: Address,
-    pub model: &'static str,
-    /// Switch of the device. When the last copy is dropped, the device is switched off.
-    pub switch: Switch,
-}
 
 /// Serves a simulated device, on the current runtime: on `tcp://127.0.0.1:1000`,
 /// `udp://127.0.0.1:1500?reply_port=1501`, `serial://pty?baud=115200&link=/tmp/gripper`, or

@@ -5,7 +5,8 @@ use wsg::{
 };
 
 use crate::Device;
-use crate::config::{Generation, ScriptAnswer};
+use crate::config::ScriptAnswer;
+use crate::models::Generation;
 
 impl Device {
     /// Handles a request with a correct checksum.

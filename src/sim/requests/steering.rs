@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use wsg::{CustomCommand, Data, Force, Reply, Status};
 
 use super::super::Device;
-use super::super::config::FingerConfig;
+use super::super::config::{FingerConfig, SteeringConfig, SteeringScript};
 use super::super::motion::axis::{AxisDirection, Drive};
 use super::replies::PendingReply;
 
@@ -30,34 +30,6 @@ const PAUSE_AFTER_ERROR: Duration = Duration::from_millis(100);
 
 /// Bit of the reply of the script with a watchdog: it has stopped the fingers since the target before.
 const STOPPED_BY_WATCHDOG: u8 = 1;
-
-/// A script that steers the fingers.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum SteeringScript {
-    /// B1h with a position in mm, a speed in mm/s, two gains and two force limits in N. The script sets the speed with
-    /// each request, and the fingers keep it until the next one.
-    Pd,
-    /// B1h with a width in mm and a speed in mm/s, and B2h with a speed.
-    Width,
-    /// The script of `deploy/device`: B4h with a width in mm and a speed in mm/s.
-    Watchdog,
-}
-
-/// Steering of a device.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct SteeringConfig {
-    pub script: Option<SteeringScript>,
-    /// Time that the script needs for a request: it takes the next one after this time.
-    pub period: Duration,
-    /// Time from a request's arrival until the script can take it.
-    pub delay: Duration,
-}
-
-impl Default for SteeringConfig {
-    fn default() -> Self {
-        Self { script: None, period: Duration::from_millis(25), delay: Duration::ZERO }
-    }
-}
 
 impl SteeringConfig {
     pub(crate) fn takes(&self, id: u8) -> bool {

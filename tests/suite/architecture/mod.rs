@@ -69,6 +69,10 @@ const WITHOUT_CIRCLES: &str = "
     gripper gripper/latch gripper/recorder gripper/setup transport wsg wsg/crc wsg/frame
 ";
 
+/// Further rooms without cycles within. Two rooms are missing, whose files cannot be put in order: in `sim`, the fingers and
+/// the objects around them push one another; in `journal`, the store and what it keeps use each other's tables.
+const WITHOUT_CIRCLES_WITHIN: &str = "config daemon doctor events gripper/actor model settings webhooks wsg/session";
+
 /// Rooms that get bytes and `now` from outside, and the names that they must not use.
 const MACHINES: &[&str] = &["wsg", "sim"];
 const WORLD: &[&str] = &["Instant::now", "SystemTime", "tokio", "rand::", "std::net", "std::fs", "std::env"];
@@ -109,13 +113,20 @@ fn against_rooms(code: &Code, table: &str) -> Vec<String> {
     found
 }
 
+/// Whether a file is a part of the module that this other file begins. A part can use what its whole defines.
+fn is_part(file: &str, whole: &str) -> bool {
+    let whole = whole.strip_suffix("/mod").unwrap_or(whole);
+    file != whole && is_in(file, whole)
+}
+
 /// Returns the shortest import cycle among the files of some rooms.
 fn circle(code: &Code, table: &str, of: &str) -> Option<String> {
     let arrows = arrows(table);
     let unknown: Vec<_> = of.split_whitespace().filter(|name| !arrows.contains(&(*name, *name))).collect();
     assert!(unknown.is_empty(), "unknown rooms: {unknown:?}");
     let is_of = |file| of.split_whitespace().any(|name| name == room(&arrows, file));
-    let names = code.names().filter(|(file, definer, _)| file != definer && is_of(file) && is_of(definer));
+    let used = code.names().filter(|(file, definer, _)| file != definer && !is_part(file, definer));
+    let names = used.filter(|(file, definer, _)| is_of(file) && is_of(definer));
     let imports: DiGraphMap<_, _> = names.collect();
     let back = |(from, to, _)| Some(astar(&imports, to, |file| file == from, |_| 1, |_| 0)?.1);
     let files = imports.all_edges().filter_map(back).min_by_key(Vec::len)?;
@@ -152,6 +163,9 @@ fn code_keeps_its_rules() {
     let found = [against_rooms(&code, ROOMS), against_house_rules(&code)].concat();
     assert!(found.is_empty(), "{found:#?}");
     assert_eq!(circle(&code, ROOMS, WITHOUT_CIRCLES), None);
+    for room in WITHOUT_CIRCLES_WITHIN.split_whitespace() {
+        assert_eq!(circle(&code, ROOMS, room), None);
+    }
     // rustc and clippy enforce two more rules.
     let lints = include_str!("../../../Cargo.toml");
     assert!(lints.contains("unsafe_code = \"forbid\"") && lints.contains("unwrap_used = \"warn\""));
