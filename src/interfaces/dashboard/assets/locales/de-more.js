@@ -56,6 +56,7 @@ export const moreDe = {
   'jog.title': 'Tippbetrieb',
   'jog.close': 'Zu',
   'jog.open': 'Auf',
+  'steer.title': 'Lenken',
   'jog.hint': 'Fährt, solange gedrückt, mit {speed} mm/s. Schritte in mm.',
   'recipe.title': 'Rezepte',
   'recipe.none':

@@ -55,6 +55,7 @@ export const moreEn = {
   'jog.title': 'Jog',
   'jog.close': 'Close',
   'jog.open': 'Open',
+  'steer.title': 'Steer',
   'jog.hint': 'Moves while pressed, at {speed} mm/s. Steps are in mm.',
   'recipe.title': 'Recipes',
   'recipe.none':
