@@ -243,6 +243,19 @@ test('charts follow the colour scheme', async () => {
   });
 });
 
+test('a theme that is chosen in another tab is followed', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served, { colorScheme: 'light' });
+  const { page, context } = visitor;
+  await page.waitForSelector('#take-control');
+  const other = await context.newPage();
+  await other.goto(served.url);
+  await other.click('[data-choice=theme-dark]');
+  await page.waitForSelector('html[data-theme=dark]');
+  await page.waitForSelector('[data-choice=theme-dark][aria-pressed=true]');
+  assertClean(visitor);
+});
+
 test('texts are cut like in the gateway, and ambiguous numbers are not sent', async () => {
   const served = await gateway();
   const visitor = await visit(launched, served);

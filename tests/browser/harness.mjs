@@ -221,13 +221,14 @@ export const LATE_MESSAGES = [
 /**
  * All times of a page that a busy machine can exceed, each with the longer one that tests use instead. The others are
  * the time after which the page repeats a FAST STOP as an HTTP request, which replaces the first; the time after which
- * it reports that a FAST STOP has failed; and the duration of a jog's lease.
+ * it reports that a FAST STOP has failed; the duration of a jog's lease; and the silence that ends steering.
  */
 export const LONGER_TIMES = [
   ...LATE_MESSAGES,
   ['here: 300,', 'here: 20_000,'],
   ['STOPS_WITHIN_MS = 3000;', 'STOPS_WITHIN_MS = 20_000;'],
   ['LIVES_MS = 1000;', 'LIVES_MS = 20_000;'],
+  ['SILENT_AFTER_MS = 200;', 'SILENT_AFTER_MS = 10_000;'],
 ];
 
 let visitors = 0;

@@ -86,6 +86,13 @@ async function held(served, gripper = 'left') {
 const cell = (names, part = 20) =>
   gateway({ more: names.flatMap((name) => ['--gripper', `${name}=sim://wsg50?part_mm=${part}`]) });
 
+/** Shows a servo session with long figures for as long as the page is open. */
+async function steered(page) {
+  const servo = { by: 'ws:127.0.0.1', adapter: 'width_speed', hz: 100, applied_age_ms: 1234 };
+  await page.evaluate(`learnServo = () => {}; shownGripper.peek().servo.value = ${JSON.stringify(servo)}`);
+  await page.waitForSelector('.result-note:text-matches("1234 ms")');
+}
+
 /**
  * States of a page, each with its steps. They get a function that opens the page, and return it once the state is
  * shown.
@@ -120,6 +127,22 @@ const STATES = {
     const { token } = await visitor.page.evaluate("find('left').held.peek()");
     await served.ask('POST', 'grippers/left/grip', { recipe: 1, lease: token });
     await visitor.page.waitForSelector('[data-result=HOLDING]');
+    return visitor;
+  },
+  steered: async (open) => {
+    const served = await cell(LONG);
+    await withRecipes(served);
+    await held(served, LONG[0]);
+    await served.ask('POST', `grippers/${LONG[0]}/release`, { width_mm: 60, speed_mm_s: 300 });
+    await served.ask('POST', `grippers/${LONG[0]}/lease`, { holder: LONG_HOLDER, ttl_ms: 60_000 });
+    const visitor = await open(served);
+    await visitor.page.waitForSelector('#ask-control');
+    await steered(visitor.page);
+    return visitor;
+  },
+  'steered-holding': async (open) => {
+    const visitor = await STATES.holding(open);
+    await steered(visitor.page);
     return visitor;
   },
   lost: async (open) => {

@@ -387,6 +387,15 @@ test('events name the values that are unknown, and known again', () => {
   assert.deepEqual([of('values_unknown').values, of('values_unknown').with.cause], [['width_mm'], 'silent']);
 });
 
+test('events of servo sessions name the adapter and the reason in words, once', () => {
+  const event = { kind: 'device', event: 'servo_ended', adapter: 'moves', reason: 'silence', accepted: 7, refused: 0 };
+  const { key, of, with: counts } = sentence(event);
+  assert.deepEqual(
+    [key, of, counts.accepted, counts.refused, details(event)],
+    ['event.servo_ended', { adapter: 'adapter.moves', reason: 'servo.end.silence' }, 7, 0, []],
+  );
+});
+
 test('changed settings are sentences with their values', () => {
   const of = (event) => sentence({ kind: 'settings', restored: false, ...event });
   const limit = { setting: 'force_limit', force_n: 30 };

@@ -110,6 +110,8 @@ test('every value of the API has a text', () => {
     ...words('event', 'FastStopStep'),
     ...words('kind', 'EventKind'),
     ...words('event.alarm', 'AlarmStep'),
+    ...words('adapter', 'ServoAdapter'),
+    ...words('servo.end', 'ServoEnd'),
     ...words('door', 'Door'),
     ...FLAGS.filter(({ name }) => name).map(({ name }) => `flag.${name}`),
     ...words('alarm', 'AlarmKind'),

@@ -11,8 +11,8 @@ export const mustRelease = (state, firmware) => EMPTY_HANDED.includes(state) && 
 
 /**
  * Returns the one step that a person at this page does next: `wait` for a link, `acknowledge`, `flags` if the status is
- * unknown, `reserved` or `ask` if another client has or had control, `asked`, `take`, `running`, `home`, `release` or
- * `grip`.
+ * unknown, `reserved` or `ask` if another client has or had control, `asked`, `take`, `steered` while a client steers the
+ * fingers, `running`, `home`, `release` or `grip`.
  */
 export function nextStep({
   isLive,
@@ -24,6 +24,7 @@ export function nextStep({
   reserved,
   holder,
   hasAsked,
+  isSteered,
   runs,
   isReferenced,
   state,
@@ -35,6 +36,7 @@ export function nextStep({
     if (holder !== null) return hasAsked ? 'asked' : 'ask';
     return reserved !== null && !isMyReservation ? 'reserved' : 'take';
   }
+  if (isSteered) return 'steered';
   if (runs) return 'running';
   if (!isReferenced) return 'home';
   return state === 'HOLDING' || EMPTY_HANDED.includes(state) ? 'release' : 'grip';

@@ -11,6 +11,11 @@ function ofSetting(event) {
   return { key: event.enabled ? 'event.setting_on' : 'event.setting_off', of };
 }
 
+const ofServo = ({ adapter, reason }) => ({
+  adapter: `adapter.${adapter}`,
+  ...(reason === undefined ? {} : { reason: `servo.end.${reason}` }),
+});
+
 /**
  * `of` has parameters that are keys of other texts, `with` has plain parameters, `flags` has names of flags, `values` has
  * names of measured values, and `fields` has fields of the event whose values are one parameter.
@@ -35,7 +40,13 @@ export function sentence(event) {
     case 'device':
       return {
         key: `event.${event.event}`,
-        with: { count: event.count ?? '', cause: event.cause ?? '' },
+        of: event.adapter ? ofServo(event) : {},
+        with: {
+          count: event.count ?? '',
+          cause: event.cause ?? '',
+          accepted: event.accepted ?? '',
+          refused: event.refused ?? '',
+        },
         flags: event.flags,
         values: event.values,
       };
@@ -72,7 +83,8 @@ const FIELDS = [
 ];
 
 export function details(event) {
-  const said = sentence(event).fields ?? [];
+  const { fields = [], of = {} } = sentence(event);
+  const said = [...fields, ...Object.keys(of)];
   const others = FIELDS.filter((field) => !said.includes(field));
   return others
     .filter((field) => event[field] !== undefined && event[field] !== null && event[field] !== '')

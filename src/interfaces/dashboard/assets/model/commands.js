@@ -1,5 +1,6 @@
 // The user's requests, each with the lease that this page holds. A refusal is shown below the bar.
 
+import { signal } from '../lib.js';
 import { cut } from '../core/bytes.js';
 import { postUrgently } from '../net/rest.js';
 import { noConnection } from '../net/rpc.js';
@@ -160,10 +161,14 @@ const STOPS_WITHIN_MS = 3000;
 /** The gateway's limit of a reason. */
 const MAX_REASON_BYTES = 64;
 
+/** The newest FAST STOP that this page has sent: `{gripper}`, without a name if it is for all; null before the first. */
+export const sentStop = signal(null);
+
 async function sendFastStop(method, path, more = {}, fallsBackAfterMs = FALLS_BACK_AFTER_MS.here) {
   const name = myName.peek();
   const params = { reason: cut(name === '' ? 'dashboard' : `dashboard, ${name}`, MAX_REASON_BYTES) };
   const overSocket = rpc.call(method, { ...params, ...more }, STOPS_WITHIN_MS);
+  sentStop.value = more;
   const late = new Promise((_, reject) => {
     setTimeout(() => reject(noConnection()), fallsBackAfterMs);
   });

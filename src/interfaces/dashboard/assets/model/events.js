@@ -7,6 +7,7 @@ import { noteJournalChange } from './journal.js';
 import { noteOutcome } from './outcomes.js';
 import { takeRecipeChange } from './recipes.js';
 import { ALL_SETTINGS, learn, learnSettings, read } from './reads.js';
+import { takeServo } from './servo.js';
 import { grippers, others } from './state.js';
 
 /** Marks of the charts, by outcome. */
@@ -133,6 +134,7 @@ export function takeEvent(event, gripper, at) {
     if (event.kind === 'command' || event.kind === 'settings') gripper.changes.value += 1;
     if (event.kind === 'command') takeCommand(event, gripper, at);
     if (event.kind === 'settings') takeSetting(event, gripper);
+    if (event.kind === 'device') takeServo(event, gripper);
     if (event.kind === 'lease') {
       takeLoss(event, gripper);
       learn(gripper);

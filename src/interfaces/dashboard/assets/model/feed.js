@@ -9,6 +9,7 @@ import { catchUp, takeEvent, takeGap, takeGrip } from './events.js';
 import { noteJournalChange } from './journal.js';
 import { recognizeAgain } from './me.js';
 import { ALL_SETTINGS, learn, learnSettings } from './reads.js';
+import { learnServo } from './servo.js';
 import { showNow, showSoon } from './screen.js';
 import { connection, ensure, find, shownGripper, grippers, heardAt, keepOnly, now, view } from './state.js';
 import { lookForNewer } from './version.js';
@@ -116,7 +117,7 @@ async function subscribe(shownSettings) {
     const shown = shownGripper.peek();
     const inOrder = [...grippers.peek()].sort((a, b) => (b === shown) - (a === shown));
     const settings = (gripper) => learnSettings(gripper, gripper === shown ? shownSettings : undefined);
-    await Promise.all(inOrder.flatMap((gripper) => [learn(gripper), settings(gripper)]));
+    await Promise.all(inOrder.flatMap((gripper) => [learn(gripper), learnServo(gripper), settings(gripper)]));
   } catch {
     // The connection has ended, and will be replaced.
   }

@@ -22,7 +22,7 @@ export class Gripper {
   #readAt = -Infinity;
   /** Time of the newest state with a link; null if the page has lost its own connection since. */
   #liveAt = null;
-  #answers = Object.fromEntries(['info', 'lease', ...SETTINGS].map((field) => [field, ordered()]));
+  #answers = Object.fromEntries(['info', 'lease', 'servo', ...SETTINGS].map((field) => [field, ordered()]));
 
   constructor(name) {
     this.name = name;
@@ -35,6 +35,10 @@ export class Gripper {
     this.lostAt = signal(null);
     this.info = signal(null);
     this.lease = signal(null);
+    /** The open servo session of any client, with its rate as `hz`; null without one. */
+    this.servo = signal(null);
+    /** Time at which a servo session has ended last; null if the page has seen no end. */
+    this.servoEndedAt = null;
     /** Known settings, by the field names of the API. */
     this.settings = signal({});
     /** Subject that changed each setting; null if its value was only read. */
@@ -110,7 +114,7 @@ export class Gripper {
   }
 
   /**
-   * To be called for each request whose answer is the gripper's `info` or `lease`. The result takes that answer, unless a
+   * To be called for each request whose answer is the gripper's `info`, `lease` or `servo`. The result takes that answer, unless a
    * newer request was answered before.
    */
   asking(field) {

@@ -27,7 +27,7 @@ export function kept(key, fallback, { isShared = false } = {}) {
   effect(() => write(key, value.value));
   if (isShared)
     addEventListener('storage', (event) => {
-      if (event.key === PREFIX + key) value.value = read(key, fallback);
+      if (event.key === STORAGE_PREFIX + key) value.value = read(key, fallback);
     });
   return value;
 }

@@ -47,10 +47,11 @@ effect(() => {
   there.forEach(({ name, token }) => resumeControl(find(name), token));
 });
 
-/** Whether the page keeps control over a reload. A motion that no state reports yet counts as moving. */
+/** Whether the page keeps control over a reload. A motion that no state reports yet counts as moving, and steering too. */
 function isKept(gripper) {
   const { moving, command } = gripper.newest;
-  return gripper.isMine.peek() && moving === false && !command && !gripper.isMotionRequested.peek();
+  const isStill = moving === false && !command && !gripper.isMotionRequested.peek() && gripper.servo.peek() === null;
+  return gripper.isMine.peek() && isStill;
 }
 
 /** Grippers of which the page keeps control, because it is being left. */

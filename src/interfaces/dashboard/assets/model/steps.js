@@ -10,6 +10,7 @@ export function whyNot(gripper, needsReference = true) {
   if (gripper.latchId.value) return 'why.fast_stop';
   if (gripper.flags.value === null) return 'why.flags';
   if (!gripper.isMine.value) return 'why.control';
+  if (gripper.servo.value) return 'why.steered';
   if (gripper.runs.value || gripper.isMotionRequested.value) return 'why.running';
   if (needsReference && !gripper.isReferenced.value) return 'why.not_referenced';
   return null;
@@ -34,6 +35,7 @@ export const stepOf = (gripper) =>
     reserved: gripper.reservedFor.value,
     holder: gripper.holder.value,
     hasAsked: gripper.isControlRequested.value,
+    isSteered: gripper.servo.value !== null,
     runs: Boolean(gripper.runs.value || gripper.isMotionRequested.value),
     isReferenced: gripper.isReferenced.value,
     state: gripper.gripperState.value,

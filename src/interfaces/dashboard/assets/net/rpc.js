@@ -102,6 +102,12 @@ export class Rpc {
     return answer;
   }
 
+  /** Sends a request that gets no answer. */
+  notify(method, params) {
+    if (this.isOpen)
+      this.#socket.send(JSON.stringify({ jsonrpc: '2.0', method, params, client: this.handlers.label?.() }));
+  }
+
   #expect(id, withinMs = ANSWERS_WITHIN_MS) {
     return new Promise((resolve, reject) => {
       const timer = setTimeout(() => {

@@ -5,6 +5,7 @@ import { FLAGS, isSet } from '../core/flags.js';
 import { isGrip } from '../core/kinds.js';
 import { fixed, plain, t } from '../model/i18n.js';
 import { Shape } from './parts.js';
+import { steered } from './steered.js';
 
 /** Gripper states that are results of a grip. */
 const HELD = 'HOLDING';
@@ -80,14 +81,21 @@ function resultOf(gripper) {
 /** Forms of the states that a person has to tell apart from three metres. */
 const FORMS = { HOLDING: 'held', NO_PART: 'empty', PART_LOST: 'lost' };
 
-/** The result of a grip, or without one the gripper's state in the same place. `children` are the words of the state. */
+/**
+ * The result of a grip, or without one the client that steers the fingers or the gripper's state, in the same place.
+ * `children` are the words of the state.
+ */
 export function Result({ gripper, children }) {
   const result = resultOf(gripper);
   if (!result && gripper.latchId.value !== null)
     return html`<p class="outcome halted"><${Shape} name="critical" /><span class="outcome-word">${children}</span></p>`;
+  const steering = steered(gripper);
+  if (!result && steering)
+    return html`<p class="outcome steered"><span class="outcome-word">${steering.who}</span>
+    <span class="result-note">${steering.how}</span></p>`;
   if (!result) return html`<p class="outcome">${children}</p>`;
   const { state, isWrong, text, note } = result;
   return html`<p class=${`outcome result ${FORMS[state] ?? ''} ${isWrong ? 'tone-high' : ''}`} data-result=${state} role="status">
     <${Shape} name=${FORMS[state] ?? (isWrong ? 'high' : 'on')} /><span class="outcome-word">${text}</span>
-    <span class="result-note">${note ?? ''}</span></p>`;
+    <span class="result-note">${steering ? `${steering.who}: ${steering.how}` : (note ?? '')}</span></p>`;
 }

@@ -50,11 +50,11 @@ addEventListener(
   { capture: true },
 );
 
-// A jog begins with the press.
+// Jogging and steering begin with the press.
 addEventListener(
   'pointerdown',
   (event) => {
-    const hold = event.target.closest?.('.hold');
+    const hold = event.target.closest?.('.hold, .slider');
     if (!hold || !isAnother(hold, event)) return;
     event.preventDefault();
     event.stopPropagation();

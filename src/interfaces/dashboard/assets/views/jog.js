@@ -5,17 +5,15 @@ import { mistake, number } from '../core/limits.js';
 import { plain, t } from '../model/i18n.js';
 import { move } from '../model/commands.js';
 import { Jog } from '../model/jog.js';
+import { onHold, useLettingGo } from '../ui/hold.js';
+import { Slider } from './steer.js';
 
 const STEPS_MM = [0.1, 1, 5];
 /** Speed of jogging, unless the field's is lower. */
 const JOG_MM_S = 25;
 
 function HoldButton({ id, label, jog, gripper, direction, speed, limits, disabled }) {
-  const begin = (event) => {
-    if (disabled || (event.type === 'pointerdown' && event.button !== 0)) return;
-    if (event.type === 'pointerdown') event.currentTarget.setPointerCapture(event.pointerId);
-    jog.begin(gripper, direction, speed, limits);
-  };
+  const begin = () => disabled || jog.begin(gripper, direction, speed, limits);
   const end = () => jog.end();
   // A disabled button sends no event when it is released.
   useEffect(() => {
@@ -23,12 +21,11 @@ function HoldButton({ id, label, jog, gripper, direction, speed, limits, disable
   }, [disabled]);
   const isKey = ({ key }) => key === ' ' || key === 'Enter';
   return html`<button type="button" id=${id} class="hold" disabled=${disabled}
-    onPointerDown=${begin} onPointerUp=${end} onPointerCancel=${end} onLostPointerCapture=${end} onBlur=${end}
-    onContextMenu=${(event) => event.preventDefault()}
+    ...${onHold(begin, end)}
     onKeyDown=${(event) => {
       if (isKey(event)) {
         event.preventDefault();
-        if (!event.repeat) begin(event);
+        if (!event.repeat) begin();
       }
     }}
     onKeyUp=${(event) => {
@@ -39,23 +36,9 @@ function HoldButton({ id, label, jog, gripper, direction, speed, limits, disable
     }}>${label}</button>`;
 }
 
-export function JogPanel({ gripper, speed, limits, reason }) {
+export function JogPanel({ gripper, speed, force, limits, reason }) {
   const jog = useMemo(() => new Jog(), [gripper]);
-  useEffect(() => {
-    const end = () => jog.end();
-    const hidden = () => {
-      if (document.hidden) end();
-    };
-    addEventListener('blur', end);
-    addEventListener('pagehide', end);
-    document.addEventListener('visibilitychange', hidden);
-    return () => {
-      end();
-      removeEventListener('blur', end);
-      removeEventListener('pagehide', end);
-      document.removeEventListener('visibilitychange', hidden);
-    };
-  }, [jog, gripper]);
+  useLettingGo(() => jog.end(), gripper);
   const given = number(speed.value);
   const { min, max } = limits.speed.value;
   const pace = Math.min(max, Math.max(min, mistake(given, limits.speed.value) ? JOG_MM_S : Math.min(given, JOG_MM_S)));
@@ -84,6 +67,7 @@ export function JogPanel({ gripper, speed, limits, reason }) {
           onClick=${() => step(mm)}>+${plain(mm)}</button>`,
       )}
     </div>
+    <${Slider} gripper=${gripper} speed=${pace} force=${number(force.value)} limits=${limits} reason=${reason} />
     <p class="hint">${t('jog.hint', { speed: plain(pace) })}</p>
   </div>`;
 }

@@ -112,7 +112,7 @@ function Controls({ gripper }) {
     <p class="why small" role="status">${shown ? t(shown) : ''}</p>
     <button type="button" id="home" class=${isPrimary('home')} disabled=${noHome !== null} onClick=${() =>
       move(gripper, 'home', { direction: hand.direction.value })}>${t('command.home')}</button>
-    <${JogPanel} gripper=${gripper} speed=${hand.speed} limits=${limits} reason=${reason} />
+    <${JogPanel} gripper=${gripper} speed=${hand.speed} force=${hand.force} limits=${limits} reason=${reason} />
   </div>`;
 }
 

@@ -176,7 +176,7 @@ function next(gripper) {
     key: `next/${gripper.name}/${step}`,
     rank: RANK.next,
     kind: 'next',
-    shape: { acknowledge: 'critical', wait: 'high', running: 'moving' }[step] ?? 'next',
+    shape: { acknowledge: 'critical', wait: 'high', running: 'moving', steered: 'moving' }[step] ?? 'next',
     text: grippers.value.length > 1 ? `${breakable(gripper.name)}: ${text}` : text,
     buttons: nextButtons(gripper),
   };
