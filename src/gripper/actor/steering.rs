@@ -6,6 +6,8 @@
 use std::sync::Arc;
 use std::time::Instant;
 
+use tokio::sync::oneshot;
+
 use super::super::Now;
 use super::super::handle::ResultSender;
 use super::super::servo::{DueTarget, ServoSession};
@@ -98,11 +100,15 @@ impl Actor {
     ) -> Result<(), Rejection> {
         let adapter = terms.adapter.unwrap_or(self.config.rules.servo.adapter);
         self.check_start_of_servo(now, &terms, adapter, client, token)?;
+        let force = terms.force;
+        if let Some(force) = force {
+            let purpose = Purpose::ServoForce(force, client.clone());
+            self.link.submit(now, Command::SetForceLimit(force), purpose).map_err(|not_taken| not_taken.0)?;
+        }
         // A motion that settles ends now, with its values so far.
         self.end_running(now, false);
         self.streaming.watch_ended();
         let rate_hz = self.servo.rate_hz(adapter);
-        let force = terms.force;
         tracing::info!(gripper = %self.config.name, client = %client.subject, adapter = adapter.name(), "servo session begins");
         let started = DeviceEvent::ServoStarted {
             adapter,
@@ -112,13 +118,6 @@ impl Actor {
         };
         self.recording.servo(now, started, client);
         self.servo.session = Some(ServoSession::begin(now, client.clone(), token.cloned(), adapter, terms, rate_hz));
-        if let Some(force) = force {
-            let sent = self.link.submit(now, Command::SetForceLimit(force), Purpose::ServoForce(force));
-            if let Err(not_taken) = sent {
-                self.end_servo(now, ServoEnd::Device);
-                return Err(not_taken.0);
-            }
-        }
         Ok(())
     }
 
@@ -265,12 +264,16 @@ impl Actor {
         }
     }
 
-    /// Takes the answer to the force limit of a session.
-    pub(super) fn servo_force_ended(&mut self, now: Now, force: Force, end: &End) {
+    /// Takes the answer to the force limit of a session. The limit stays set, whatever happens to the session.
+    pub(super) fn servo_force_ended(&mut self, now: Now, force: Force, client: Client, end: &End) {
         self.reads.forget();
+        let setter = Command::SetForceLimit(force);
+        self.note_unanswered(now, &setter, &client, end);
         let is_set = matches!(end, End::Reply(Reply::Success(_)));
         if is_set {
             self.note_setting(&Data::ForceLimit(force));
+            // The session does not wait for the value to be read back.
+            self.read_back(now, Command::GetForceLimit, setter, client, oneshot::channel().0);
         }
         if let Some(session) = self.servo.session.as_mut().filter(|session| session.terms.force == Some(force)) {
             session.is_ready = is_set;
