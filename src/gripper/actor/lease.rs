@@ -85,7 +85,6 @@ impl Actor {
             AcquireOutcome::HandedOver | AcquireOutcome::Again => {}
         }
         self.withdraw_stale_scripts();
-        self.end_servo_without_lease(now);
         if !matches!(outcome, AcquireOutcome::Again) && !self.has_motion_of(&wish.client) {
             // A motion that has not started would start under another client's lease.
             self.withdraw_waiting_motion(now);
@@ -94,6 +93,7 @@ impl Actor {
             // The motion may also belong to a lost holder, or to one that has handed over.
             self.stop_motion(now, None);
         }
+        self.end_servo_without_lease(now);
         Ok(())
     }
 
@@ -199,7 +199,12 @@ impl Actor {
             LossEffect::None => {}
         }
         self.streaming.stopped(now.instant);
-        self.stop_servo(now, ServoEnd::Lease);
+        if effect == LossEffect::Finish {
+            self.end_servo(now, ServoEnd::Lease);
+            self.streaming.watch_ended();
+        } else {
+            self.stop_servo(now, ServoEnd::Lease);
+        }
     }
 
     /// Latches a FAST STOP because this holder was lost.

@@ -14,6 +14,7 @@ use super::super::servo::{DueTarget, ServoSession};
 use super::Actor;
 use super::link::{OwnStop, Purpose};
 use super::running::Running;
+use super::streaming;
 use model::error::{Conflict, Invalid, Rejection};
 use model::{
     Action, Client, CommandId, CommandReport, DeviceEvent, LeaseToken, Motion, Outcome, ServoAdapter, ServoEnd,
@@ -33,6 +34,10 @@ impl Steering {
     /// The open session, or the last one.
     pub(super) fn report(&self) -> Option<Arc<ServoReport>> {
         self.session.as_ref().map(|session| Arc::new(session.report())).or_else(|| self.last.clone())
+    }
+
+    pub(super) fn is_open(&self) -> bool {
+        self.session.is_some()
     }
 
     /// Refuses other motions while a session is open.
@@ -304,10 +309,21 @@ impl Actor {
         self.end_servo(now, why);
         let Some(last_sent_at) = last_sent_at else { return };
         self.withdraw_waiting_motion(now);
-        if self.motion.is_under_way() || self.observed.has(SystemState::MOVING) {
+        if self.motion.is_under_way() || self.may_move_by_target(now, last_sent_at) {
             self.link.send_stop(now, OwnStop::new(self.motion.mover(now.instant)));
         }
-        self.streaming.watch_end_of_servo(last_sent_at, now.instant);
+    }
+
+    /// Whether a target that was sent at this time can move the fingers. The flags show the motion later.
+    fn may_move_by_target(&self, now: Now, sent_at: Instant) -> bool {
+        if self.observed.has(SystemState::MOVING) {
+            return true;
+        }
+        let is_known = self.observed.values.flags(now.instant).is_some();
+        let is_late = now.instant < sent_at + streaming::MOVES_WITHIN + self.observed.period;
+        // A Stop could let a held part go.
+        let holds = self.observed.last_state() == Some(GripperState::Holding);
+        !holds && (is_late || !is_known)
     }
 
     /// Ends a session without its lease.
@@ -321,6 +337,9 @@ impl Actor {
     /// Ends the session. The caller stops the fingers.
     pub(super) fn end_servo(&mut self, now: Now, why: ServoEnd) {
         let Some(session) = self.servo.session.take() else { return };
+        if let Some(last_sent_at) = session.last_sent_at() {
+            self.streaming.watch_end_of_servo(last_sent_at, now.instant);
+        }
         let client = session.client.clone();
         let duration_ms = session.lasted(now).as_millis() as u64;
         let report = session.end(why);
