@@ -186,7 +186,9 @@ impl Servos {
         let at = world.rng.random_bool(0.3).then(|| now.wall + jiff::SignedDuration::from_millis(offset_ms));
         let begins = match (&aim, at) {
             (ServoAim::Widths(..), Some(_)) if offset_ms >= 0 => now.instant + Duration::from_millis(offset_ms as u64),
-            (ServoAim::Widths(..), Some(_)) => now.instant - Duration::from_millis(offset_ms.unsigned_abs()),
+            (ServoAim::Widths(..), Some(_)) => {
+                now.instant.checked_sub(Duration::from_millis(offset_ms.unsigned_abs())).unwrap()
+            }
             _ => now.instant,
         };
         let (range, ends) = match &aim {
@@ -350,20 +352,25 @@ impl Servos {
 
     /// Checks the records of all sessions, once everything has come to rest.
     pub fn at_rest(world: &World) {
-        let servos = &world.servos;
-        let mut totals = (0, 0, 0, 0);
+        let mut begun = 0;
+        let mut over = 0;
+        let mut all_accepted = 0;
+        let mut all_refused = 0;
         for event in &world.journal.events {
             match event {
-                Detail::Device(DeviceEvent::ServoStarted { .. }) => totals.0 += 1,
+                Detail::Device(DeviceEvent::ServoStarted { .. }) => begun += 1,
                 Detail::Device(DeviceEvent::ServoEnded { accepted, refused, .. }) => {
-                    totals.1 += 1;
-                    totals.2 += accepted;
-                    totals.3 += refused;
+                    over += 1;
+                    all_accepted += accepted;
+                    all_refused += refused;
                 }
                 _ => {}
             }
         }
-        let expected = (servos.started, servos.started, servos.accepted, servos.refused);
-        assert_eq!(totals, expected, "each session has two records, and its counts\n{}", world.tail());
+        let servos = &world.servos;
+        assert_eq!(begun, servos.started, "each session has a record of its beginning\n{}", world.tail());
+        assert_eq!(over, servos.started, "each session has a record of its end\n{}", world.tail());
+        assert_eq!(all_accepted, servos.accepted, "each accepted target is counted\n{}", world.tail());
+        assert_eq!(all_refused, servos.refused, "each refused target is counted\n{}", world.tail());
     }
 }

@@ -288,7 +288,7 @@ impl World {
             OwnChanges::watch(self);
         }
         while let Some(bytes) = self.to_device.take(self.now) {
-            self.to_device_now(&bytes);
+            self.device_receives(&bytes);
         }
         while let Some(bytes) = self.to_gateway.take(self.now) {
             let now = self.clock();
@@ -307,7 +307,7 @@ impl World {
     }
 
     /// Lets the device receive bytes, and carries out the targets in them.
-    fn to_device_now(&mut self, bytes: &[u8]) {
+    fn device_receives(&mut self, bytes: &[u8]) {
         let before = self.device.snapshot().received_frames;
         self.device.receive(self.now, bytes);
         Servos::carry_out(self, before);

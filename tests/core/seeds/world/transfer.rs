@@ -160,7 +160,7 @@ impl World {
 
     fn flush_to_device(&mut self) {
         while let Some((_, bytes)) = self.to_device.0.pop_front() {
-            self.to_device_now(&bytes);
+            self.device_receives(&bytes);
         }
     }
 

@@ -26,8 +26,8 @@ impl Rig {
 
     fn take_lease(&mut self, take: TakeLease) -> LeaseToken {
         let token = LeaseToken::generate();
-        let mut taken = self.request(|answer| ActorRequest::TakeLease { take, token: token.clone(), answer });
-        taken.try_recv().unwrap().unwrap();
+        let mut granted = self.request(|answer| ActorRequest::TakeLease { take, token: token.clone(), answer });
+        granted.try_recv().unwrap().unwrap();
         token
     }
 }
