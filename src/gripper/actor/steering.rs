@@ -309,21 +309,21 @@ impl Actor {
         self.end_servo(now, why);
         let Some(last_sent_at) = last_sent_at else { return };
         self.withdraw_waiting_motion(now);
-        if self.motion.is_under_way() || self.may_move_by_target(now, last_sent_at) {
+        if self.motion.is_under_way() || self.may_move_by_target(last_sent_at) {
             self.link.send_stop(now, OwnStop::new(self.motion.mover(now.instant)));
         }
     }
 
     /// Whether a target that was sent at this time can move the fingers. The flags show the motion later.
-    fn may_move_by_target(&self, now: Now, sent_at: Instant) -> bool {
+    fn may_move_by_target(&self, sent_at: Instant) -> bool {
         if self.observed.has(SystemState::MOVING) {
             return true;
         }
-        let is_known = self.observed.values.flags(now.instant).is_some();
-        let is_late = now.instant < sent_at + streaming::MOVES_WITHIN + self.observed.period;
+        // Flags from before the motion still count as known.
+        let shows_rest = self.observed.values.flags.arrived_at() > Some(sent_at + streaming::MOVES_WITHIN);
         // A Stop could let a held part go.
         let holds = self.observed.last_state() == Some(GripperState::Holding);
-        !holds && (is_late || !is_known)
+        !holds && !shows_rest
     }
 
     /// Ends a session without its lease.
