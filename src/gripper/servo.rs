@@ -284,11 +284,11 @@ impl ServoSession {
 
     /// Notes that the device gets the target that was due.
     pub(super) fn sent(&mut self, now: Instant, command: CommandId, target: DueTarget) {
+        let due_at = self.sends_at();
         let Some(plan) = &mut self.plan else { return };
         let aim = Aim { width_mm: target.width.mm(), ..plan.aim_at(now) };
         plan.is_sent = true;
-        let received_at = plan.received_at;
-        if let Some(before) = self.sent.filter(|before| before.answered_at > Some(received_at)) {
+        if let Some(before) = self.sent.filter(|before| before.answered_at > due_at) {
             // The target has waited for the device.
             let interval = now.saturating_duration_since(before.at).as_secs_f32();
             self.report.rate_hz = Some(smoothed(self.report.rate_hz, 1.0 / interval.max(0.001)));
@@ -337,9 +337,9 @@ impl ServoSession {
         true
     }
 
-    /// Whether the device has got a target.
-    pub(super) fn has_sent(&self) -> bool {
-        self.sent.is_some()
+    /// Time of the newest target that the device got.
+    pub(super) fn last_sent_at(&self) -> Option<Instant> {
+        self.sent.map(|sent| sent.at)
     }
 
     pub(super) fn travelled(&mut self, mm: f32) {

@@ -74,6 +74,7 @@ impl Actor {
         if let Ok(Some(ticket)) = &replay
             && ticket.now().outcome == Some(Outcome::Success)
             && !is_moving
+            && !self.servo.is_open()
         {
             return Ok(ticket.clone());
         }

@@ -56,7 +56,7 @@ impl Actor {
                 Purpose::FastStop
                 | Purpose::Acknowledge
                 | Purpose::Force(..)
-                | Purpose::ServoForce(_)
+                | Purpose::ServoForce(..)
                 | Purpose::Motion(_)
                 | Purpose::Stop(_)
                 | Purpose::OwnStop(_),
@@ -260,7 +260,7 @@ impl Actor {
                 self.read_awaited_flags(now);
             }
             Purpose::Force(id, force) => self.force_ended(now, id, force, end),
-            Purpose::ServoForce(force) => self.servo_force_ended(now, force, &end),
+            Purpose::ServoForce(force, client) => self.servo_force_ended(now, force, client, &end),
             Purpose::Motion(id) => self.motion_ended(now, id, end),
             Purpose::Stop(id) => self.stop_ended(now, id, end),
             Purpose::OwnStop(stop) => self.own_stop_ended(now, stop, &end),

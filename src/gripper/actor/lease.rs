@@ -85,7 +85,6 @@ impl Actor {
             AcquireOutcome::HandedOver | AcquireOutcome::Again => {}
         }
         self.withdraw_stale_scripts();
-        self.end_servo_without_lease(now);
         if !matches!(outcome, AcquireOutcome::Again) && !self.has_motion_of(&wish.client) {
             // A motion that has not started would start under another client's lease.
             self.withdraw_waiting_motion(now);
@@ -94,6 +93,7 @@ impl Actor {
             // The motion may also belong to a lost holder, or to one that has handed over.
             self.stop_motion(now, None);
         }
+        self.end_servo_without_lease(now);
         Ok(())
     }
 
@@ -199,6 +199,7 @@ impl Actor {
             LossEffect::None => {}
         }
         self.streaming.stopped(now.instant);
+        // Also with `finish`: a steered motion has no end of its own.
         self.stop_servo(now, ServoEnd::Lease);
     }
 

@@ -61,8 +61,8 @@ pub(super) enum Purpose {
     Acknowledge,
     /// Set Force Limit before a grip.
     Force(CommandId, Force),
-    /// Set Force Limit of a servo session.
-    ServoForce(Force),
+    /// Set Force Limit of a servo session, for this client.
+    ServoForce(Force, Client),
     Motion(CommandId),
     /// A client's Stop command.
     Stop(CommandId),
@@ -78,7 +78,7 @@ impl Purpose {
     /// Whether the request reads or changes a setting for a client.
     fn concerns_setting(&self) -> bool {
         match self {
-            Self::Force(..) | Self::ServoForce(_) => true,
+            Self::Force(..) | Self::ServoForce(..) => true,
             Self::Exchange(exchange) => Setting::of(exchange.command.id()).is_some(),
             _ => false,
         }

@@ -52,6 +52,10 @@ impl Actor {
         let may_hold = self.observed.values.state(now.instant).is_none_or(|state| state == GripperState::Holding);
         if let Some(running) = self.motion.get_mut(id) {
             running.may_have_held = may_hold;
+            if sent.is_ok() && !running.is_streamed {
+                // A Stop for the end of a stream could end this motion, or let its part go.
+                self.streaming.watch_ended();
+            }
         }
         self.set_stage(now, id, sent.map(Stage::Sent));
     }
@@ -321,7 +325,7 @@ impl Actor {
         }
         if self.commands.is_streamed(id) {
             self.streaming.stopped(now.instant);
-            self.end_servo(now, ServoEnd::Stop);
+            self.stop_servo(now, ServoEnd::Stop);
         }
         self.withdraw_waiting_motion(now);
         if self.motion.running.is_some() {

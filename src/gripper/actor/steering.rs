@@ -6,12 +6,15 @@
 use std::sync::Arc;
 use std::time::Instant;
 
+use tokio::sync::oneshot;
+
 use super::super::Now;
 use super::super::handle::ResultSender;
 use super::super::servo::{DueTarget, ServoSession};
 use super::Actor;
 use super::link::{OwnStop, Purpose};
 use super::running::Running;
+use super::streaming;
 use model::error::{Conflict, Invalid, Rejection};
 use model::{
     Action, Client, CommandId, CommandReport, DeviceEvent, LeaseToken, Motion, Outcome, ServoAdapter, ServoEnd,
@@ -31,6 +34,10 @@ impl ServoState {
     /// The open session, or the last one.
     pub(super) fn report(&self) -> Option<Arc<ServoReport>> {
         self.session.as_ref().map(|session| Arc::new(session.report())).or_else(|| self.last.clone())
+    }
+
+    pub(super) fn is_open(&self) -> bool {
+        self.session.is_some()
     }
 
     /// Refuses other motions while a session is open.
@@ -98,11 +105,15 @@ impl Actor {
     ) -> Result<(), Rejection> {
         let adapter = terms.adapter.unwrap_or(self.config.rules.servo.adapter);
         self.check_start_of_servo(now, &terms, adapter, client, token)?;
+        let force = terms.force;
+        if let Some(force) = force {
+            let purpose = Purpose::ServoForce(force, client.clone());
+            self.link.submit(now, Command::SetForceLimit(force), purpose).map_err(|not_taken| not_taken.0)?;
+        }
         // A motion that settles ends now, with its values so far.
         self.end_running(now, false);
         self.streaming.watch_ended();
         let rate_hz = self.servo.rate_hz(adapter);
-        let force = terms.force;
         tracing::info!(gripper = %self.config.name, client = %client.subject, adapter = adapter.name(), "servo session begins");
         let started = DeviceEvent::ServoStarted {
             adapter,
@@ -112,13 +123,6 @@ impl Actor {
         };
         self.recording.servo(now, started, client);
         self.servo.session = Some(ServoSession::begin(now, client.clone(), token.cloned(), adapter, terms, rate_hz));
-        if let Some(force) = force {
-            let sent = self.link.submit(now, Command::SetForceLimit(force), Purpose::ServoForce(force));
-            if let Err(not_taken) = sent {
-                self.end_servo(now, ServoEnd::Device);
-                return Err(not_taken.0);
-            }
-        }
         Ok(())
     }
 
@@ -266,12 +270,16 @@ impl Actor {
         }
     }
 
-    /// Takes the answer to the force limit of a session.
-    pub(super) fn servo_force_ended(&mut self, now: Now, force: Force, end: &End) {
+    /// Takes the answer to the force limit of a session. The limit stays set, whatever happens to the session.
+    pub(super) fn servo_force_ended(&mut self, now: Now, force: Force, client: Client, end: &End) {
         self.reads.forget();
+        let setter = Command::SetForceLimit(force);
+        self.note_unanswered(now, &setter, &client, end);
         let is_set = matches!(end, End::Reply(Reply::Success(_)));
         if is_set {
             self.note_setting(&Data::ForceLimit(force));
+            // The session does not wait for the value to be read back.
+            self.read_back(now, Command::GetForceLimit, setter, client, oneshot::channel().0);
         }
         if let Some(session) = self.servo.session.as_mut().filter(|session| session.terms.force == Some(force)) {
             session.is_ready = is_set;
@@ -298,16 +306,26 @@ impl Actor {
     /// Ends the session, and stops what it moves.
     pub(super) fn stop_servo(&mut self, now: Now, why: ServoEnd) {
         let Some(session) = &self.servo.session else { return };
-        let has_moved = session.has_sent();
+        let last_sent_at = session.last_sent_at();
         self.end_servo(now, why);
-        if !has_moved {
-            return;
-        }
+        let Some(last_sent_at) = last_sent_at else { return };
         self.withdraw_waiting_motion(now);
-        if self.motion.is_under_way() || self.observed.has(SystemState::MOVING) {
+        if self.motion.is_under_way() || self.may_move_by_target(now, last_sent_at) {
             self.link.send_stop(now, OwnStop::new(self.motion.mover(now.instant)));
         }
-        self.streaming.watch_after_stop(now.instant);
+    }
+
+    /// Whether a target that was sent at this time can move the fingers. The flags show the motion later.
+    fn may_move_by_target(&self, now: Now, sent_at: Instant) -> bool {
+        if self.observed.has(SystemState::MOVING) {
+            return true;
+        }
+        // Flags from before the motion still count as known.
+        let shows_rest = self.observed.values.flags.arrived_at() > Some(sent_at + streaming::MOVES_WITHIN);
+        // A Stop could let a held part go. The target can have let go of a part that was held before.
+        let holds =
+            self.observed.values.is_holding(now.instant) && self.observed.values.state.arrived_at() > Some(sent_at);
+        !holds && !shows_rest
     }
 
     /// Ends a session without its lease.
@@ -321,6 +339,9 @@ impl Actor {
     /// Ends the session. The caller stops the fingers.
     pub(super) fn end_servo(&mut self, now: Now, why: ServoEnd) {
         let Some(session) = self.servo.session.take() else { return };
+        if session.last_sent_at().is_some() {
+            self.streaming.watch_after_stop(now.instant);
+        }
         let client = session.client.clone();
         let duration_ms = session.lasted(now).as_millis() as u64;
         let report = session.end(why);

@@ -26,7 +26,7 @@ const LASTS: Duration = Duration::from_secs(1);
 const PAUSE: Duration = Duration::from_millis(500);
 
 /// Time within which the flags show a motion that the last target has begun, beside the period of the updates.
-const MOVES_WITHIN: Duration = Duration::from_millis(200);
+pub(super) const MOVES_WITHIN: Duration = Duration::from_millis(200);
 
 /// Interval in which fingers are looked at that do not move yet.
 const LOOKS_EVERY: Duration = Duration::from_millis(20);
@@ -122,11 +122,13 @@ impl Streaming {
         Ok(())
     }
 
-    /// Notes the end of a streamed command.
+    /// Notes the end of a streamed command. Fingers that have got a Stop are looked at when that is due.
     pub(super) fn answered(&mut self, now: Instant) {
-        if let Some(since) = &mut self.silent_since {
-            *since = now;
-            self.looks_at = self.has_ended.then(|| now + LOOKS_EVERY);
+        if self.has_ended {
+            self.silent_since = self.silent_since.map(|_| now);
+            self.looks_at = self.looks_at.map(|at| at.max(now + LOOKS_EVERY));
+        } else if let Some(since) = self.silent_since.as_mut().filter(|_| self.stops == 0) {
+            (*since, self.looks_at) = (now, None);
         }
     }
 

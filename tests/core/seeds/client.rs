@@ -12,6 +12,7 @@ use wsg::{Acceleration, Command, CustomCommand, Data, Force, HomingDirection, Lo
 use super::leases::Leases;
 use super::own_changes::{Followed, OwnChanges};
 use super::schedule::Ask;
+use super::servo::Servos;
 use super::world::{PORT_SCRIPT_ID, READ_ID, SCRIPT_ID, STREAM_ID, World};
 
 /// An admitted command. `motion` is the only motion frame that it can cause.
@@ -116,6 +117,7 @@ impl Clients {
                     }
                 }
             },
+            Ask::Servo(ask) => Servos::act(world, ask),
             Ask::Stream => {
                 let custom = Self::next_custom(world, STREAM_ID);
                 Self::submit_motion(world, Motion::Custom(custom));
@@ -162,8 +164,10 @@ impl Clients {
         world.actor.request(now, ActorRequest::Submit { submission, id, answer });
         let result = answered.try_recv().expect("admission takes no time");
         world.note(&format!("  {:?}", result.as_ref().map(|ticket| ticket.now().id)));
-        if motion.is_some() {
-            Leases::asked(world, door, lease.as_ref(), result.as_ref());
+        match &result {
+            _ if motion.is_some() => Leases::asked(world, door, lease.as_ref(), result.as_ref()),
+            Ok(_) => Servos::stopped(world),
+            Err(_) => Servos::stop_asked(world),
         }
         if let Ok(ticket) = result {
             let replayed = ticket.now().replayed;
@@ -186,8 +190,11 @@ impl Clients {
     }
 
     fn cancel(world: &mut World) {
-        let Some(admitted) = world.clients.admitted.last() else { return };
-        let id = admitted.ticket.now().id;
+        // A person also cancels what the gripper shows as its command, which can be a target of a servo session.
+        let shown = world.watches.state.borrow().command.filter(|_| world.rng.random_bool(0.5));
+        let newest = world.clients.admitted.last().map(|admitted| admitted.ticket.now().id);
+        let Some(id) = shown.or(newest) else { return };
+        Servos::stop_asked(world);
         let (answer, _) = oneshot::channel();
         let now = world.clock();
         world.actor.request(now, ActorRequest::Cancel { id, client: client(), answer });
@@ -205,6 +212,7 @@ impl Clients {
         world.clients.fast_stops.push(id);
         OwnChanges::follow(world, id::FAST_STOP, Followed::FastStop(id));
         world.invariants.fast_stop_requested();
+        Servos::stopped(world);
         world.actor.fast_stop(
             now,
             FastStopRequest {

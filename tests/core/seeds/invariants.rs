@@ -9,6 +9,7 @@ use wsg::{ChecksumEvaluation, Command, Decoded, Decoder, Reply, crc, frame, id};
 
 use super::client::{Admitted, is_streamed};
 use super::leases::Leases;
+use super::servo::Servos;
 use super::world::{PORT_SCRIPT_ID, SCRIPT_ID, STREAM_ID, World};
 
 /// Observations so far.
@@ -214,9 +215,16 @@ impl Invariants {
         if frame_id == id::FAST_STOP {
             world.invariants.fast_stop_sent = Some(world.now);
         }
+        if matches!(frame_id, id::STOP | id::FAST_STOP | id::DISCONNECT_ANNOUNCEMENT) {
+            world.servos.superseded();
+        }
+        if Servos::sent(world, frame) {
+            return assert!(!latched, "latch_blocks_motion\n{}", world.tail());
+        }
         match frame_id {
             id::HOMING | id::PRE_POSITION | id::GRIP | id::RELEASE | SCRIPT_ID | STREAM_ID => {
                 assert!(!latched, "latch_blocks_motion\n{}", world.tail());
+                world.servos.superseded();
                 let all = &world.clients.admitted;
                 let admitted =
                     all.iter().filter(|admitted| admitted.motion.as_ref().map(encode).as_deref() == Some(frame));
@@ -279,6 +287,8 @@ impl Invariants {
             && !unconfirmed
             && stopped
             && ended
+            // A target of a servo session has no ticket.
+            && state.command.is_none()
             && world.clients.all_answered()
             && world.own_changes.all_answered()
     }
@@ -331,6 +341,7 @@ impl Invariants {
             }
         }
         super::journal::Journal::check(world);
+        Servos::at_rest(world);
         world.count("device: foreign motion", world.journal.foreign_motions > 0);
         world.count("journal: grip record", world.journal.grips > 0);
         let is_script = |admitted: &&Admitted| admitted.ticket.now().kind == Kind::Custom;

@@ -15,6 +15,7 @@ use wsg::{Command, SystemState, Updates};
 
 use model::lease::DEFAULT_TTL;
 
+use super::servo::Servos;
 use super::world::World;
 
 /// A client's action on the lease.
@@ -414,6 +415,9 @@ impl Leases {
             ("no effect", LossEffect::None),
         ] {
             world.count(&format!("lease: holder lost, {name}"), event.effect == Some(effect));
+        }
+        if event.effect == Some(LossEffect::Keep) {
+            Servos::keeps(world);
         }
         if event.effect == Some(LossEffect::FastStop) {
             assert!(

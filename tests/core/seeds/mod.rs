@@ -10,6 +10,7 @@ mod journal;
 mod leases;
 mod own_changes;
 pub mod schedule;
+mod servo;
 mod wire;
 pub mod world;
 

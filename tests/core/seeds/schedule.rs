@@ -9,6 +9,7 @@ use sim::{BrokenGetter, Change, FaultKind, Part};
 use wsg::id;
 
 use super::leases::LeaseAsk;
+use super::servo::ServoAsk;
 
 #[derive(Debug, Clone)]
 pub enum Step {
@@ -41,6 +42,7 @@ pub enum Ask {
     Read,
     Custom,
     Stream,
+    Servo(ServoAsk),
     Loop,
     Lease(LeaseAsk),
 }
@@ -83,6 +85,10 @@ impl Schedule {
             let begins = at(rng);
             let every = Duration::from_millis(rng.random_range(5..40));
             steps.extend((0..50).map(|n| (begins + n * every, Step::Client(Ask::Stream))));
+        }
+        if rng.random_bool(0.5) {
+            let begins = at(rng);
+            steps.extend(steering(rng, begins));
         }
         if rng.random_bool(0.15) {
             let begins = at(rng);
@@ -130,6 +136,43 @@ impl Schedule {
         ]
         .into_iter()
     }
+}
+
+/// Targets at 30 to 100 Hz of a client that makes the gripper ready, begins anew now and then, pauses, and goes on after
+/// the end of its session.
+fn steering(rng: &mut SmallRng, begins: Duration) -> Vec<(Duration, Step)> {
+    let mut steps = Vec::new();
+    let mut add = |at, ask| steps.push((at, Step::Client(ask)));
+    let acknowledge = Ask::Acknowledge { stale: false };
+    add(begins, acknowledge);
+    add(begins + Duration::from_millis(50), Ask::Home);
+    let mut at = begins + Duration::from_millis(rng.random_range(500..3000));
+    add(at, Ask::Servo(ServoAsk::Start));
+    for _ in 0..rng.random_range(20..200) {
+        at += Duration::from_micros(rng.random_range(10_000..33_000));
+        let ask = match rng.random_range(0..40) {
+            0..3 => ServoAsk::Start,
+            3 => {
+                add(at, acknowledge);
+                at += Duration::from_millis(100);
+                ServoAsk::Start
+            }
+            4 => ServoAsk::Stop,
+            5 | 6 => ServoAsk::Follow,
+            7 => ServoAsk::AimByAnother,
+            8 => {
+                at += Duration::from_millis(rng.random_range(50..900));
+                ServoAsk::Start
+            }
+            9 => {
+                at += Duration::from_millis(rng.random_range(20..400));
+                ServoAsk::Aim
+            }
+            _ => ServoAsk::Aim,
+        };
+        add(at, Ask::Servo(ask));
+    }
+    steps
 }
 
 fn ask(rng: &mut SmallRng) -> Ask {

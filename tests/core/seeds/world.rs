@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use gripper::actor::{Actor, ActorConfig, Watches};
 use gripper::{GripperMetrics, Now};
 use jiff::{SignedDuration, Timestamp};
-use model::{CustomIds, GripperRules, IdSource, Phase};
+use model::{CustomIds, GripperRules, IdSource, Phase, ServoAdapter, ServoRules};
 use prometheus::Registry;
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};
@@ -19,6 +19,7 @@ use super::journal::Journal;
 use super::leases::Leases;
 use super::own_changes::OwnChanges;
 use super::schedule::{Schedule, Step};
+use super::servo::Servos;
 use super::wire::Wire;
 
 mod transfer;
@@ -56,6 +57,7 @@ pub struct World {
     pub journal: Journal,
     pub leases: Leases,
     pub own_changes: OwnChanges,
+    pub servos: Servos,
     pub log: Vec<String>,
     pub counts: BTreeMap<String, u64>,
     connected: bool,
@@ -188,6 +190,7 @@ impl World {
     ) -> Self {
         let now = Instant::now();
         let custom_ids = CustomIds { read: [READ_ID].into(), stream: [STREAM_ID].into(), ..CustomIds::default() };
+        let servo = ServoRules { adapter: ServoAdapter::WidthSpeed, id: STREAM_ID, ..ServoRules::default() };
         let config = ActorConfig {
             gateway: "gateway".parse().unwrap(),
             name: "g".parse().unwrap(),
@@ -199,7 +202,7 @@ impl World {
                 may_duplicate: interface == Interface::Udp,
                 frame_gap: Duration::from_millis(100),
             },
-            rules: GripperRules { custom_ids, ..GripperRules::default() },
+            rules: GripperRules { custom_ids, servo, ..GripperRules::default() },
             seed,
             metrics: GripperMetrics::register(&Registry::new(), &"g".parse().unwrap()).unwrap(),
         };
@@ -219,6 +222,7 @@ impl World {
             journal: Journal::default(),
             leases: Leases::default(),
             own_changes: OwnChanges::default(),
+            servos: Servos::default(),
             log: Vec::new(),
             counts: BTreeMap::new(),
             connected: false,
@@ -284,8 +288,7 @@ impl World {
             OwnChanges::watch(self);
         }
         while let Some(bytes) = self.to_device.take(self.now) {
-            self.device.receive(self.now, &bytes);
-            OwnChanges::watch(self);
+            self.device_receives(&bytes);
         }
         while let Some(bytes) = self.to_gateway.take(self.now) {
             let now = self.clock();
@@ -301,6 +304,14 @@ impl World {
             self.connect();
         }
         self.settle();
+    }
+
+    /// Lets the device receive bytes, and carries out the targets in them.
+    fn device_receives(&mut self, bytes: &[u8]) {
+        let before = self.device.snapshot().received_frames;
+        self.device.receive(self.now, bytes);
+        Servos::carry_out(self, before);
+        OwnChanges::watch(self);
     }
 
     fn connect(&mut self) {
@@ -327,6 +338,7 @@ impl World {
         OwnChanges::check(self);
         Leases::check(self);
         Leases::look(self);
+        Servos::check(self);
         Invariants::check(self);
     }
 

@@ -9,6 +9,8 @@ use model::{
 };
 use wsg::{Force, Speed, Width};
 
+mod ends;
+
 const SCRIPT: u8 = 0xB1;
 
 /// A gripper that is steered by a script with a width and a speed, and whose fingers move.

@@ -92,7 +92,7 @@ fn target_that_a_script_carries_out_after_a_stop_gets_another_stop() {
     assert_eq!(rig.count(id::STOP), 1);
     rig.pass_with_flags(20, SystemState::empty());
     rig.reply(SCRIPT, Status::E_SUCCESS, &[]);
-    rig.pass_with_flags(30, SystemState::MOVING);
+    rig.pass_with_flags(80, SystemState::MOVING);
     assert_eq!(rig.count(id::STOP), 2, "the script has kept the target");
     rig.pass_with_flags(1000, SystemState::empty());
     assert_eq!(rig.count(id::STOP), 2);

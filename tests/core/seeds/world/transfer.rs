@@ -9,6 +9,7 @@ use wsg::{Command, id};
 
 use super::World;
 use crate::seeds::invariants::Invariants;
+use crate::seeds::servo::Servos;
 use crate::seeds::wire;
 
 impl World {
@@ -159,7 +160,7 @@ impl World {
 
     fn flush_to_device(&mut self) {
         while let Some((_, bytes)) = self.to_device.0.pop_front() {
-            self.device.receive(self.now, &bytes);
+            self.device_receives(&bytes);
         }
     }
 
@@ -177,6 +178,7 @@ impl World {
         self.device.disconnect(self.now);
         let now = self.clock();
         self.actor.link_down(now, cause);
+        Servos::disconnected(self);
         if !self.actor.is_draining() {
             self.reconnect_at = Some(self.now + Duration::from_millis(100));
         }
