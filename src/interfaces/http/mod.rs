@@ -28,6 +28,7 @@ mod operation;
 mod origin;
 mod paths;
 mod problem;
+mod python;
 mod recipes;
 mod redirect;
 mod refused_sockets;

@@ -24,8 +24,8 @@ use super::context::{API, HttpContext};
 use super::openapi_document::completed;
 use super::unknown_path::unknown_path;
 use super::{
-    access_log, audit, docs, fleet_lists, forward, gateway, guard, guide, journal, large, paths, recipes, rights,
-    session, stream, tickets, turn, upgrade,
+    access_log, audit, docs, fleet_lists, forward, gateway, guard, guide, journal, large, paths, python, recipes,
+    rights, session, stream, tickets, turn, upgrade,
 };
 use crate::interfaces::dashboard;
 use crate::operations::{Code, Problem};
@@ -81,6 +81,7 @@ fn routes() -> Routes {
     let router = router
         .merge(docs::page())
         .merge(guide::pages())
+        .merge(python::files())
         .merge(dashboard::page())
         .method_not_allowed_fallback(method_not_allowed);
     let mut all = OpenApiRouter::from(router);
