@@ -209,6 +209,28 @@ def test_lease_with_a_ttl_is_renewed(connect: Connect, gateway: Gateway) -> None
         assert gripper.held and gripper.move(50, 400).ok
 
 
+def test_gateway_that_another_thread_closes_ends_the_control(connect: Connect, gateway: Gateway) -> None:
+    client = connect(gateway.url)
+    ended: list[Any] = []
+    closed = threading.Event()
+
+    def work() -> None:
+        with client["left"].control() as gripper:
+            gripper.move(30, 400)
+            closed.set()
+            ended.append(gripper.move(100, 10))
+
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    until(lambda: closed.is_set() and client["left"].moving and (client["left"].width_mm or 0) > 31)
+    client.close()
+    thread.join(5)
+    # The end of the motion may come after that of the connection.
+    assert not thread.is_alive() and ended[0].outcome in ("ABORTED", "UNKNOWN")
+    until(lambda: not gateway.state()["moving"] and gateway.state()["lease_holder"] is None)
+    assert not gateway.state()["fast_stop"]
+
+
 def test_fast_stop_while_a_motion_is_awaited(connect: Connect, gateway: Gateway) -> None:
     with connect(gateway.url) as client, client["left"].control() as gripper:
         gripper.move(30, 400)

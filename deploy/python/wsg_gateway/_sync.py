@@ -271,7 +271,8 @@ class Control(Gripper):
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         """Gives the lease up: moving fingers are stopped, and a held part stays held."""
-        call(self._engine, self._lease.close())
+        with contextlib.suppress(EngineClosed):  # The gateway was closed, which has given the lease up.
+            call(self._engine, self._lease.close())
 
     @property
     def held(self) -> bool:
