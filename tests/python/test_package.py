@@ -325,6 +325,8 @@ def test_wrong_use_says_what_to_do(connect: Connect, gateway: Gateway) -> None:
     with connect(gateway.url) as client:
         with pytest.raises(KeyError, match="no gripper 'lef': this gateway has left, right"):
             client["lef"]
+        with pytest.raises(AttributeError, match="has no 'grip': take control first, with left.control"):
+            client["left"].grip(20)
         with pytest.raises(ValueError, match="home is a motion"):
             client.request("home", gripper="left")
         with pytest.raises(ValueError, match="keeps at least 1 item"):
