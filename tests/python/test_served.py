@@ -32,5 +32,6 @@ def test_pip_finds_the_wheel_on_the_page(gateway: Gateway, tmp_path: Path) -> No
     assert [file.name for file in tmp_path.iterdir()] == [wheel()]
 
 
-def test_guide_names_the_served_wheel() -> None:
-    assert f"/python/{wheel()}" in (ROOT / "deploy/guide/python.md").read_text()
+def test_documents_name_the_served_wheel() -> None:
+    for page in ("README.md", "deploy/guide/python.md", "deploy/guide/ros2.md"):
+        assert f"/python/{wheel()}" in (ROOT / page).read_text(), page
