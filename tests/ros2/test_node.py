@@ -113,7 +113,7 @@ def test_newest_goal_wins(cell: Cell, nodes: Nodes) -> None:
 
 
 def test_goal_beyond_the_limits_is_rejected(cell: Cell, nodes: Nodes) -> None:
-    client = nodes.ready(max_width=0.08, max_force=40.0)
+    client = nodes.ready(max_width=0.08, max_force=40)
     assert not client.send(0.09).accepted
     assert not client.send(-0.01).accepted
     assert not client.send(0.02, 50.0).accepted

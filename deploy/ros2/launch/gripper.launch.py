@@ -8,6 +8,7 @@ from launch.actions import DeclareLaunchArgument
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration, PythonExpression
 from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
 
 ARGUMENTS = {
     "url": ("http://127.0.0.1:8080", "address of the gateway"),
@@ -30,6 +31,8 @@ def generate_launch_description() -> LaunchDescription:
 
     parameters = {name: value[name] for name in ("url", "gripper", "token_file", "ca_file")}
     parameters |= {"gripper_command_position": for_moveit("joint", "gap"), "closing": for_moveit("clamp", "grip")}
+    # Otherwise an empty text would be read as YAML, and be no text.
+    parameters = {name: ParameterValue(text, value_type=str) for name, text in parameters.items()}
     return LaunchDescription(
         [DeclareLaunchArgument(name, default_value=default, description=text) for name, (default, text) in ARGUMENTS.items()]
         + [

@@ -12,6 +12,7 @@ import rclpy
 import wsg_gateway
 from control_msgs.action import GripperCommand, ParallelGripperCommand
 from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -56,7 +57,8 @@ class GripperNode(Node):
         """Reads the parameters. Raises `ValueError` for a wrong one."""
         super().__init__("wsg", **arguments)
         for name, default in PARAMETERS.items():
-            self.declare_parameter(name, default)
+            # A number without a point, such as `speed:=1`, is a whole number for ROS.
+            self.declare_parameter(name, default, ParameterDescriptor(dynamic_typing=isinstance(default, float)))
         self._check("gripper_command_position", "gap", "joint")
         self._check("closing", "grip", "clamp")
         self._shown_fast_stop: str | None = None
