@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import threading
 import time
 from collections.abc import Iterable
 from datetime import datetime, timedelta, timezone
@@ -64,6 +65,7 @@ class File:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         """Creates the file."""
         self._writer = Writer(os.fspath(path))
+        self._lock, self._is_closed = threading.Lock(), False
         self._schemas = {name: self._writer.register_msgdef(f"wsg_gateway/msg/{name}", DEFINITIONS[name]) for name in DEFINITIONS}
 
     def state(self, state: State) -> None:
@@ -98,11 +100,15 @@ class File:
             self._write("/wsg/events", "Record", at, {"kind": data["kind"], "json": json.dumps(data, default=str)})
 
     def close(self) -> None:
-        """Writes the index, without which the file is incomplete."""
-        self._writer.finish()
+        """Writes the index, without which the file is incomplete. What comes later is left out."""
+        with self._lock:
+            self._is_closed = True
+            self._writer.finish()
 
     def _write(self, topic: str, kind: str, at: datetime, message: dict[str, Any]) -> None:
-        self._writer.write_message(topic, self._schemas[kind], message, nanoseconds(at))
+        with self._lock:  # States come in another thread.
+            if not self._is_closed:
+                self._writer.write_message(topic, self._schemas[kind], message, nanoseconds(at))
 
 
 class Recorder:
