@@ -231,6 +231,20 @@ def test_gateway_that_another_thread_closes_ends_the_control(connect: Connect, g
     assert not gateway.state()["fast_stop"]
 
 
+def test_unknown_journal_is_not_called_another_one(
+    connect: Connect, gateway: Gateway, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def unknown() -> None:
+        return None
+
+    with connect(gateway.url) as client:
+        core = client._core
+        monkeypatch.setattr(core, "_journal_id", unknown)
+        client._engine.loop.call_soon_threadsafe(core.main._socket.transport.abort)
+        until(lambda: core.main.is_up and core.main.generation == 2)
+        assert "another journal" not in caplog.text
+
+
 def test_fast_stop_while_a_motion_is_awaited(connect: Connect, gateway: Gateway) -> None:
     with connect(gateway.url) as client, client["left"].control() as gripper:
         gripper.move(30, 400)
