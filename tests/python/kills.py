@@ -158,7 +158,8 @@ def lose_client(device: Device, gateway: Gateway, kind: signal.Signals, loss: st
         try:
             line = client.stdout and client.stdout.readline()
             assert line == "moves\n", (line, client.stderr and client.stderr.read())
-            until(lambda: device.state()["true_width_mm"] > 31 and device.state()["moving"])
+            until(lambda: (device.state()["true_width_mm"] > 31 and device.state()["moving"]) or client.poll() is not None)
+            assert client.poll() is None, client.stderr and client.stderr.read()
             time.sleep(random.uniform(0, 0.3))
             client.send_signal(kind)
             started = time.monotonic()

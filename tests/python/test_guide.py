@@ -14,10 +14,13 @@ ROOT = Path(__file__).resolve().parents[2]
 PRINTED = "http://127.0.0.1:8080"
 
 
-def programs(page: str) -> list[str]:
-    """The programs of a page that use the package."""
+EXTRA = re.compile(r"from wsg_gateway( import mcap|\.\w+ import)")
+
+
+def programs(page: str, extras: bool = False) -> list[str]:
+    """The programs of a page that use the package, with an extra or without one."""
     blocks = re.findall(r"^```python\n(.*?)^```", (ROOT / page).read_text(), re.DOTALL | re.MULTILINE)
-    return [block for block in blocks if "wsg_gateway" in block]
+    return [block for block in blocks if "wsg_gateway" in block and bool(EXTRA.search(block)) == extras]
 
 
 PROGRAMS = [
@@ -27,16 +30,21 @@ PROGRAMS = [
 ]
 
 
-@pytest.mark.parametrize("program", PROGRAMS)
-def test_program_runs(gateway: Gateway, program: str) -> None:
+def output(gateway: Gateway, program: str, directory: Path) -> str:
+    """Runs a program, and returns what it prints."""
     assert PRINTED in program
-    done = subprocess.run(
-        [sys.executable, "-c", program.replace(PRINTED, gateway.url)], capture_output=True, text=True, timeout=90, check=False
-    )
+    command = [sys.executable, "-c", program.replace(PRINTED, gateway.url)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=90, check=False, cwd=directory)
     assert done.returncode == 0 and not done.stderr, done.stderr
-    assert done.stdout
+    return done.stdout
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_program_runs(gateway: Gateway, program: str, tmp_path: Path) -> None:
+    shown = output(gateway, program, tmp_path)
+    assert shown
     if "grip(" in program:
-        assert "PART_HELD" in done.stdout or "samples" in done.stdout
+        assert "PART_HELD" in shown or "samples" in shown
 
 
 def test_twenty_grips_are_in_the_guide() -> None:

@@ -209,6 +209,42 @@ def test_lease_with_a_ttl_is_renewed(connect: Connect, gateway: Gateway) -> None
         assert gripper.held and gripper.move(50, 400).ok
 
 
+def test_gateway_that_another_thread_closes_ends_the_control(connect: Connect, gateway: Gateway) -> None:
+    client = connect(gateway.url)
+    ended: list[Any] = []
+    closed = threading.Event()
+
+    def work() -> None:
+        with client["left"].control() as gripper:
+            gripper.move(30, 400)
+            closed.set()
+            ended.append(gripper.move(100, 10))
+
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    until(lambda: closed.is_set() and client["left"].moving and (client["left"].width_mm or 0) > 31)
+    client.close()
+    thread.join(5)
+    # The end of the motion may come after that of the connection.
+    assert not thread.is_alive() and ended[0].outcome in ("ABORTED", "UNKNOWN")
+    until(lambda: not gateway.state()["moving"] and gateway.state()["lease_holder"] is None)
+    assert not gateway.state()["fast_stop"]
+
+
+def test_unknown_journal_is_not_called_another_one(
+    connect: Connect, gateway: Gateway, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def unknown() -> None:
+        return None
+
+    with connect(gateway.url) as client:
+        core = client._core
+        monkeypatch.setattr(core, "_journal_id", unknown)
+        client._engine.loop.call_soon_threadsafe(core.main._socket.transport.abort)
+        until(lambda: core.main.is_up and core.main.generation == 2)
+        assert "another journal" not in caplog.text
+
+
 def test_fast_stop_while_a_motion_is_awaited(connect: Connect, gateway: Gateway) -> None:
     with connect(gateway.url) as client, client["left"].control() as gripper:
         gripper.move(30, 400)
@@ -303,6 +339,8 @@ def test_wrong_use_says_what_to_do(connect: Connect, gateway: Gateway) -> None:
     with connect(gateway.url) as client:
         with pytest.raises(KeyError, match="no gripper 'lef': this gateway has left, right"):
             client["lef"]
+        with pytest.raises(AttributeError, match="has no 'grip': take control first, with left.control"):
+            client["left"].grip(20)
         with pytest.raises(ValueError, match="home is a motion"):
             client.request("home", gripper="left")
         with pytest.raises(ValueError, match="keeps at least 1 item"):

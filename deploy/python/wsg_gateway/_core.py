@@ -196,7 +196,7 @@ class Core:
         for state in answer["states"]:
             self._stated(state)
         self.journal_id = await self._journal_id()
-        if before not in (None, self.journal_id):
+        if None not in (before, self.journal_id) and before != self.journal_id:
             logger.warning("the gateway has another journal than before: its events and records begin again")
             self._seqs.clear()
         self._count_missed("events", answer["event_seq"] + 1)

@@ -22,6 +22,8 @@ class Engine:
         """Starts the thread."""
         self.loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._run, name="wsg-gateway", daemon=True)
+        self._lock = threading.Lock()
+        self._is_stopping = False
         self._thread.start()
 
     def _run(self) -> None:
@@ -31,17 +33,21 @@ class Engine:
 
     def submit(self, coroutine: Coroutine[Any, Any, T]) -> Future[T]:
         """Starts a coroutine in the thread."""
-        if self.loop.is_closed() or not self._thread.is_alive():
-            coroutine.close()
-            raise EngineClosed("this gateway is closed: call connect again")
-        return asyncio.run_coroutine_threadsafe(coroutine, self.loop)
+        # What is submitted after the last coroutine would never run, and its caller would wait forever.
+        with self._lock:
+            if self._is_stopping:
+                coroutine.close()
+                raise EngineClosed("this gateway is closed: call connect again")
+            return asyncio.run_coroutine_threadsafe(coroutine, self.loop)
 
     def stop(self) -> None:
         """Ends the thread, after everybody who waits for it has an answer."""
-        try:
-            self.submit(self._drain()).result()
-        except EngineClosed:
-            return
+        with self._lock:
+            if self._is_stopping:
+                return
+            self._is_stopping = True
+            drained = asyncio.run_coroutine_threadsafe(self._drain(), self.loop)
+        drained.result()
         self.loop.call_soon_threadsafe(self.loop.stop)
         self._thread.join(timeout=5)
 

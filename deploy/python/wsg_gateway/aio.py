@@ -8,7 +8,7 @@ import ssl
 import time
 from collections.abc import Callable, Iterable
 from types import TracebackType
-from typing import Any, Generic, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
 
 from ._address import Address
 from ._call_aio import Opening, call, follow, opened
@@ -191,6 +191,13 @@ class Gripper(Reads):
         terms = Terms(holder, on_loss_moving, on_loss_holding, if_held, timeout_s, ttl_ms, force, patience_s)
         return Control(self._core, self._engine, self.name, self._is_strict, self._stale_after_s, terms, speed_mm_s, on_lost)
 
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            """Says what is missing for a motion."""
+            remedy = f": take control first, with {self.name}.control() as gripper" if hasattr(Control, name) else ""
+            raise AttributeError(f"{type(self).__name__} has no {name!r}{remedy}", name=name, obj=self)
+
     async def stop(self) -> Motion:
         """Stops the fingers, whoever moves them. No FAST STOP is latched, and no lease is needed."""
         return Motion.build(await call(self._engine, self._core.stop(self.name)))
@@ -271,7 +278,8 @@ class Control(Gripper):
 
     async def __aexit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         """Gives the lease up: moving fingers are stopped, and a held part stays held."""
-        await call(self._engine, self._lease.close())
+        with contextlib.suppress(EngineClosed):  # The gateway was closed, which has given the lease up.
+            await call(self._engine, self._lease.close())
 
     @property
     def held(self) -> bool:

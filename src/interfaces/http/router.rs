@@ -22,7 +22,7 @@ use utoipa_axum::routes;
 
 use super::context::{API, HttpContext};
 use super::documents::openapi_document::completed;
-use super::documents::{docs, guide, paths};
+use super::documents::{docs, guide, paths, python};
 use super::requests::unknown_path::unknown_path;
 use super::requests::{access_log, audit, forward, guard, large_responses, request_admission, rights};
 use super::resources::{fleet_lists, gateway, journal, recipes, session, stream, tickets, upgrade};
@@ -80,6 +80,7 @@ fn routes() -> Routes {
     let router = router
         .merge(docs::page())
         .merge(guide::pages())
+        .merge(python::files())
         .merge(dashboard::page())
         .method_not_allowed_fallback(method_not_allowed);
     let mut all = OpenApiRouter::from(router);

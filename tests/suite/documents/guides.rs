@@ -251,8 +251,9 @@ const OTHER_WORDS: &[&str] = &[
     "wsg_token_expiry_timestamp_seconds",
 ];
 
-/// Folders that define the options of simulated grippers and of addresses, and the names of the Python package.
-const OPTIONS: &[&str] = &["src/sim", "src/daemon/simulation", "src/transport", "deploy/python"];
+/// Folders that define the options of simulated grippers and of addresses, and the names of the Python package and of the
+/// node for ROS 2.
+const OPTIONS: &[&str] = &["src/sim", "src/daemon/simulation", "src/transport", "deploy/python", "deploy/ros2"];
 
 /// The words of a text that are written like keys, e.g. `max_hz`.
 fn key_like(text: &str) -> BTreeSet<&str> {

@@ -176,7 +176,7 @@ async fn routes_without_an_operation_need_the_right_to_read() {
         assert_eq!(response.text().await.unwrap(), "ready\n");
     }
     assert_eq!(status("/readyz", Some("wsg_unknown")).await, 401);
-    for path in ["/", "/healthz", "/docs/guide", "/api/v1/openapi.json"] {
+    for path in ["/", "/healthz", "/docs/guide", "/python/", "/api/v1/openapi.json"] {
         assert_eq!(status(path, None).await, 200, "{path}");
     }
 }

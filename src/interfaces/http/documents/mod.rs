@@ -8,3 +8,4 @@ pub(super) mod guide;
 mod meanings;
 pub(super) mod openapi_document;
 pub(super) mod paths;
+pub(super) mod python;

@@ -32,9 +32,8 @@ pub async fn check(context: &HttpContext, request: Request, next: impl AsyncFnOn
     }
 }
 
-/// Whether a route without an operation needs the right to read. The files of the dashboard, the guides and the API's
-/// documents have nothing of
-/// the plant, so anyone can read them. Readiness decides by itself what it tells. Everything that is not named here needs
+/// Whether a route without an operation needs the right to read. The files of the dashboard, the guides, the Python package
+/// and the API's documents have nothing of the plant, so anyone can read them. Readiness decides by itself what it tells. Everything that is not named here needs
 /// the right.
 fn needs_read(route: &str) -> bool {
     let Some(path) = route.strip_prefix(API) else { return route == "/metrics" };
@@ -51,7 +50,7 @@ mod tests {
         for route in ["/metrics", "/api/v1/events", "/api/v1/grips.csv", "/api/v1/stream", "/api/v1/new"] {
             assert!(needs_read(route), "{route}");
         }
-        for route in ["/", "/healthz", "/readyz", "/docs", "/api/v1/openapi.json", "/api/v1/session"] {
+        for route in ["/", "/healthz", "/readyz", "/docs", "/python/", "/api/v1/openapi.json", "/api/v1/session"] {
             assert!(!needs_read(route), "{route}");
         }
     }

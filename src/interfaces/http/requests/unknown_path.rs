@@ -27,7 +27,7 @@ pub const ONLY_HTTP: [&str; 18] = [
 ];
 
 /// Paths beside the API.
-const BESIDE: [&str; 5] = ["/docs", "/docs/guide", "/healthz", "/metrics", "/readyz"];
+const BESIDE: [&str; 6] = ["/docs", "/docs/guide", "/healthz", "/metrics", "/python", "/readyz"];
 
 /// Returns the problem for a path that does not exist, with the nearest path that does.
 pub fn unknown_path(path: &str) -> Problem {

@@ -190,6 +190,18 @@ async fn documentation_is_self_contained() {
     assert_eq!(gateway.ask("GET", "/api/v1/openapi.json", "").await.body["openapi"], "3.1.0");
 }
 
+#[tokio::test]
+async fn python_package_is_served_with_its_page() {
+    let gateway = Gateway::new(FakeScript::default());
+    let wheel = concat!("wsg_gateway-", env!("CARGO_PKG_VERSION"), "-py3-none-any.whl");
+    let page = gateway.ask("GET", "/python/", "").await;
+    assert!(page.body.as_str().unwrap().contains(&format!("href=\"{wheel}\"")));
+    assert_eq!(gateway.ask("GET", "/python", "").await.headers[header::LOCATION], "python/");
+    let served = gateway.ask("GET", &format!("/python/{wheel}"), "").await;
+    assert_eq!(served.status, 200);
+    assert_eq!(served.headers[header::CONTENT_TYPE], "application/zip");
+}
+
 #[tokio::test(start_paused = true)]
 async fn missing_body_is_408() {
     let gateway = Gateway::new(FakeScript::default());

@@ -29,13 +29,13 @@ const STYLE: &str = include_str!("style.css");
 const SCRIPT: &str = include_str!("page.js");
 
 /// The pages load their style, their script and the text for the search from here, and nothing else from anywhere.
-const POLICY: HeaderValue = HeaderValue::from_static(
+pub const POLICY: HeaderValue = HeaderValue::from_static(
     "default-src 'none'; style-src 'self'; script-src 'self'; connect-src 'self'; img-src 'self'; base-uri 'none'; \
      form-action 'none'; frame-ancestors 'none'",
 );
 
 /// A browser asks each time whether the gateway has another version.
-const CACHING: HeaderValue = HeaderValue::from_static("no-cache");
+pub const CACHING: HeaderValue = HeaderValue::from_static("no-cache");
 
 /// Returns the routes of the guides.
 pub fn pages<S: Clone + Send + Sync + 'static>() -> Router<S> {

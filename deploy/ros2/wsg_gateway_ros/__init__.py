@@ -1,0 +1,1 @@
+"""Node for a WSG gripper behind a WSG gateway."""
