@@ -63,7 +63,9 @@ pub struct OwnChanges {
 impl OwnChanges {
     /// Follows a request of the client, now and then.
     pub fn follow(world: &mut World, id: u8, followed: Followed) {
-        if world.rng.random_bool(0.5) && !is_disturbed(world) {
+        // A device that is stopped already shows the FAST STOP before it gets the request.
+        let is_shown = id == id::FAST_STOP && world.device.snapshot().fast_stop;
+        if world.rng.random_bool(0.5) && !is_disturbed(world) && !is_shown {
             world.own_changes.changes.push(OwnChange { followed, id, requested_at: world.now });
             Self::watch(world);
         }
