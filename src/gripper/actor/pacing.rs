@@ -31,6 +31,13 @@ pub(super) struct Pacing {
     measured_at: Option<Instant>,
 }
 
+impl Pacing {
+    /// Whether the link cannot carry its updates at their own period.
+    pub(super) fn is_slow(&self) -> bool {
+        self.slowed_to_ms > 0
+    }
+}
+
 impl Actor {
     /// Rules of the updates on the current link.
     pub(super) fn update_rules(&self) -> UpdateRules {
