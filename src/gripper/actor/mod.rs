@@ -45,6 +45,7 @@ mod running;
 mod scripts;
 mod settings;
 mod steering;
+mod stream_limits;
 mod streaming;
 mod tag;
 mod timers;
