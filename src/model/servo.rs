@@ -123,9 +123,11 @@ impl ServoRules {
                 .fail("servo_layout", "servo_layout needs \"width_mm\" and \"speed_mm_s\" for the adapter \"script\"");
         }
         if self.limits_streams() && self.adapter == ServoAdapter::Moves {
-            let detail = "limits of streams need a servo_adapter that says where the script's width and speed are";
-            section
-                .fail(if self.stream_max_step_mm > 0 { "stream_max_step_mm" } else { "stream_max_speed_mm_s" }, detail);
+            let key = if self.stream_max_step_mm > 0 { "stream_max_step_mm" } else { "stream_max_speed_mm_s" };
+            let detail = format_args!(
+                "{key} needs the places of width and speed in a request: set servo_adapter to that of the script"
+            );
+            section.fail(key, detail);
         }
     }
 
