@@ -141,8 +141,12 @@ async fn client_lost_after_its_stream_stops_nothing() {
     assert_eq!((&state["fast_stop"], device.frames.count(0x23)), (&json!(false), 0));
 }
 
-/// A controller that pauses and goes on elsewhere makes the fingers jump. A request in the form of public projects: one
-/// byte, width, speed, two gains and two forces.
+/// Request of a script in the form of public projects: one byte, width, speed, two gains and two forces.
+fn target(width_mm: f32, speed_mm_s: f32) -> Vec<u8> {
+    [&[0], floats(&[width_mm, speed_mm_s, 15.0, 0.001, 20.0, 20.0]).as_slice()].concat()
+}
+
+/// A controller that pauses and goes on elsewhere makes the fingers jump.
 #[tokio::test]
 async fn jump_after_a_gap_is_refused_if_configured() {
     let device = Scripted::start(Table::from([(STREAM, vec![success(&[STREAM])])])).await;
@@ -153,17 +157,15 @@ async fn jump_after_a_gap_is_refused_if_configured() {
     );
     let gateway = configured(&text).await;
     let width_mm = gateway.state().await["width_mm"].as_f64().unwrap() as f32;
-    let request =
-        |width_mm: f32, speed_mm_s: f32| [&[0][..], &floats(&[width_mm, speed_mm_s, 15.0, 0.001, 20.0, 20.0])].concat();
     let mut driver = connect(&gateway).await;
-    assert_eq!(driver.status(STREAM, &request(width_mm + 6.0, 100.0)).await, RANGE_ERROR, "the first target");
+    assert_eq!(driver.status(STREAM, &target(width_mm + 6.0, 100.0)).await, RANGE_ERROR, "the first target");
     for step in [2.0, 4.0, 8.0] {
-        assert_eq!(driver.status(STREAM, &request(width_mm - step, 100.0)).await, SUCCESS);
+        assert_eq!(driver.status(STREAM, &target(width_mm - step, 100.0)).await, SUCCESS);
     }
-    assert_eq!(driver.status(STREAM, &request(width_mm - 14.0, 100.0)).await, RANGE_ERROR);
-    assert_eq!(driver.status(STREAM, &request(width_mm - 8.0, 200.0)).await, RANGE_ERROR);
+    assert_eq!(driver.status(STREAM, &target(width_mm - 14.0, 100.0)).await, RANGE_ERROR);
+    assert_eq!(driver.status(STREAM, &target(width_mm - 8.0, 200.0)).await, RANGE_ERROR);
     assert_eq!(driver.status(STREAM, &[0; 8]).await, FORMAT_ERROR);
-    assert_eq!(driver.status(STREAM, &request(width_mm - 9.0, 150.0)).await, SUCCESS);
+    assert_eq!(driver.status(STREAM, &target(width_mm - 9.0, 150.0)).await, SUCCESS);
     assert_eq!(device.frames.count(STREAM), 4);
     let lease = gateway.get("lease").await.ok();
     assert_eq!((&lease["bound"], &lease["expires_in_ms"]), (&json!(true), &json!(3000)), "{lease}");
