@@ -113,6 +113,11 @@ fn file_error_names_line_and_remedy() {
         mistake("[grippers.g]\nurl = \"sim://wsg50\"\nread_ids = [176]\nstream_ids = [177, 176]")
             .starts_with("gateway.toml:4: 176 is in read_ids and stream_ids")
     );
+    for field in ["stream_max_step_mm", "stream_max_speed_mm_s"] {
+        let unreadable = mistake(&format!("[grippers.g]\nurl = \"sim://wsg50\"\n{field} = 5"));
+        let expected = format!("gateway.toml:3: {field} needs the places of width and speed");
+        assert!(unreadable.starts_with(&expected), "{unreadable}");
+    }
     for field in ["read_ids", "stream_ids"] {
         let known = mistake(&format!("[grippers.g]\nurl = \"sim://wsg50\"\n{field} = [176, 33]"));
         let expected =

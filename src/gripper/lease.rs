@@ -454,6 +454,7 @@ impl LeaseState {
             token: held.map(|held| &held.token).filter(|held| Some(*held) == token).cloned(),
             ttl_ms: held.map(|held| held.terms.ttl.as_millis() as u64),
             expires_in_ms: held.map(|held| held.expires_in(now).as_millis() as u64),
+            bound: held.map(HeldLease::is_bound),
             on_loss_moving: held.map(|held| held.terms.on_loss_moving),
             on_loss_holding: held.map(|held| held.terms.on_loss_holding),
             requested_by: self.asking_now(now).map(|asking| asking.holder.name.clone()),
@@ -494,7 +495,10 @@ mod tests {
         let refusal = lease.check(now + DEFAULT_TTL * 2, &other, None).unwrap_err();
         assert_eq!(refusal, Conflict::LeaseBound { holder: "wsg:10.0.0.1".into(), ttl_ms: 3000 });
         assert!(refusal.to_string().contains("until it disconnects"), "{refusal}");
+        let view = lease.view(now + DEFAULT_TTL * 2, None);
+        assert_eq!((view.bound, view.expires_in_ms), (Some(true), Some(3000)));
         drop(connection);
+        assert_eq!(lease.view(now, None).bound, Some(false));
         assert!(matches!(lease.check(now, &other, None), Err(Conflict::LeaseHeld { .. })));
     }
 }

@@ -156,10 +156,16 @@ pub struct Lease {
     /// Time to live without use, in ms; null if the lease is free.
     #[schema(required, minimum = 0)]
     pub ttl_ms: Option<u64>,
-    /// Remaining time to live, in ms. It does not run down while a request of the holder is open. Null if the lease is
-    /// free.
+    /// Remaining time to live, in ms. It does not run down while a request of the holder is open, or while the lease is
+    /// `bound`. Null if the lease is free.
     #[schema(required, minimum = 0)]
     pub expires_in_ms: Option<u64>,
+    /// Whether a connection of the holder keeps the lease, which then has no end of its own: `expires_in_ms` starts to run
+    /// down only when the connection no longer keeps it. Absent if the lease is free, and in the reply to a request for
+    /// the lease, because the connection is bound after it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    pub bound: Option<bool>,
     /// Action if the holder is lost while the fingers move; null if the lease is free.
     #[schema(required)]
     pub on_loss_moving: Option<OnLossMoving>,

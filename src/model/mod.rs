@@ -62,7 +62,9 @@ pub use recipe::{
 pub use record::{GripRecord, OnJournalFailure, PersistedKey, PersistedState, RequestedValues, Sample};
 pub use report::CommandReport;
 pub use rules::{GripperRules, SharedRules};
-pub use servo::{ServoAdapter, ServoAim, ServoEnd, ServoReport, ServoRules, ServoTarget, ServoTerms, Steer};
+pub use servo::{
+    ScriptTarget, ServoAdapter, ServoAim, ServoEnd, ServoReport, ServoRules, ServoTarget, ServoTerms, Steer,
+};
 pub use state::{Latch, LatchFields, Link, State, Telemetry};
 pub use status::GripperStatus;
 pub use text::{FingerSetId, InvalidShownName, PartId, Reason, RequestId, ShownName, Text, without_byte_order_mark};

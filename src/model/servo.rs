@@ -59,6 +59,9 @@ pub enum LayoutField {
     WidthMm,
     /// Speed in mm/s, as a float.
     SpeedMmS,
+    /// Speed in mm/s on arrival at the target, as a float. The gateway asks for rest.
+    #[serde(skip)]
+    ArrivalSpeed,
     /// Force in N, as a float.
     ForceN,
 }
@@ -68,7 +71,7 @@ pub enum LayoutField {
 const POSITION_PD: &[LayoutItem] = &[
     LayoutItem::Field(LayoutField::Zero),
     LayoutItem::Field(LayoutField::WidthMm),
-    LayoutItem::Number(0.0),
+    LayoutItem::Field(LayoutField::ArrivalSpeed),
     LayoutItem::Number(15.0),
     LayoutItem::Number(0.001),
     LayoutItem::Field(LayoutField::ForceN),
@@ -92,6 +95,11 @@ settings! {
         /// Request of the script for the adapter `script`: fields that the gateway fills in, and numbers. All values are floats
         /// of 4 bytes, little-endian, except `zero`, which is one byte.
         pub layout: Vec<LayoutItem> = "servo_layout", layout(), Reload;
+        /// Greatest difference in mm between a target of a [stream](drivers.md#steering) and the one before, or the measured
+        /// width if there was none within a second. 0: any. Needs a `servo_adapter` that describes the script `servo_id`.
+        pub stream_max_step_mm: u16 = "stream_max_step_mm", whole(0, between(0..=1000, ""), |mm| mm as u16), Reload;
+        /// Greatest speed in mm/s that a target of a stream can have. 0: any. Needs the same.
+        pub stream_max_speed_mm_s: u16 = "stream_max_speed_mm_s", whole(0, between(0..=1000, ""), |mm_s| mm_s as u16), Reload;
         check ServoRules::check;
     }
 }
@@ -118,6 +126,46 @@ impl ServoRules {
             section
                 .fail("servo_layout", "servo_layout needs \"width_mm\" and \"speed_mm_s\" for the adapter \"script\"");
         }
+        if self.limits_streams() && self.adapter == ServoAdapter::Moves {
+            let key = if self.stream_max_step_mm > 0 { "stream_max_step_mm" } else { "stream_max_speed_mm_s" };
+            let detail = format_args!(
+                "{key} needs the places of width and speed in a request: set servo_adapter to that of the script"
+            );
+            section.fail(key, detail);
+        }
+    }
+
+    fn limits_streams(&self) -> bool {
+        self.stream_max_step_mm > 0 || self.stream_max_speed_mm_s > 0
+    }
+
+    /// Whether the targets of this script are limited when a client streams them.
+    #[must_use]
+    pub fn limits_stream_of(&self, id: u8) -> bool {
+        self.limits_streams() && id == self.id
+    }
+
+    /// The target in a request of the script. `None` if the payload ends before it.
+    #[must_use]
+    pub fn target_in(&self, payload: &[u8]) -> Option<ScriptTarget> {
+        let mut rest = payload;
+        let mut width_mm = None;
+        let mut speed_mm_s = None;
+        for item in self.items(self.adapter) {
+            if *item == LayoutItem::Field(LayoutField::Zero) {
+                rest = rest.get(1..)?;
+                continue;
+            }
+            let (bytes, after) = rest.split_first_chunk()?;
+            rest = after;
+            let value = f32::from_le_bytes(*bytes);
+            match item {
+                LayoutItem::Field(LayoutField::WidthMm) => width_mm = Some(value),
+                LayoutItem::Field(LayoutField::SpeedMmS | LayoutField::ArrivalSpeed) => speed_mm_s = Some(value),
+                LayoutItem::Field(_) | LayoutItem::Number(_) => {}
+            }
+        }
+        Some(ScriptTarget { width_mm: width_mm?, speed_mm_s: speed_mm_s? })
     }
 
     fn items(&self, adapter: ServoAdapter) -> &[LayoutItem] {
@@ -154,6 +202,7 @@ impl ServoRules {
                 }
                 LayoutItem::Field(LayoutField::WidthMm) => width.mm(),
                 LayoutItem::Field(LayoutField::SpeedMmS) => speed.mm_s(),
+                LayoutItem::Field(LayoutField::ArrivalSpeed) => 0.0,
                 LayoutItem::Field(LayoutField::ForceN) => force.map_or(0.0, Force::n),
                 LayoutItem::Number(number) => *number,
             };
@@ -161,6 +210,13 @@ impl ServoRules {
         }
         CustomCommand::new(self.id, payload)
     }
+}
+
+/// Target in the request of a script, as a client sends it: any number, not only one that a gripper can take.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ScriptTarget {
+    pub width_mm: f32,
+    pub speed_mm_s: f32,
 }
 
 /// Terms of a servo session.
@@ -280,4 +336,29 @@ pub struct ServoReport {
     pub longest_gap_ms: u64,
     /// Way that the fingers have travelled, in mm.
     pub travel_mm: f64,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn target_is_read_where_the_adapter_writes_it() {
+        let layout = vec![
+            LayoutItem::Field(LayoutField::SpeedMmS),
+            LayoutItem::Number(7.0),
+            LayoutItem::Field(LayoutField::Zero),
+            LayoutItem::Field(LayoutField::WidthMm),
+        ];
+        for adapter in [ServoAdapter::PositionPd, ServoAdapter::WidthSpeed, ServoAdapter::Script] {
+            let rules = ServoRules { adapter, layout: layout.clone(), ..ServoRules::default() };
+            let width = Width::new(42.5).unwrap();
+            let request = rules.request(adapter, width, Speed::new(80.0).unwrap(), None).unwrap();
+            let speed_mm_s = if adapter == ServoAdapter::PositionPd { 0.0 } else { 80.0 };
+            let target = ScriptTarget { width_mm: 42.5, speed_mm_s };
+            assert_eq!(rules.target_in(request.payload()), Some(target), "{adapter:?}");
+            let cut = request.payload().len() - 1;
+            assert_eq!(rules.target_in(&request.payload()[..cut]), None, "{adapter:?}");
+        }
+    }
 }

@@ -37,6 +37,9 @@ impl Actor {
                     if is_streamed { self.streaming.check(now.instant, submission.lease.as_ref()) } else { Ok(()) };
                 self.check_motion(now, motion, submission)?;
                 may_steer?;
+                if is_streamed {
+                    self.check_stream_target(now, submission)?;
+                }
                 self.claim(now, &submission.client, submission.lease.as_ref())?;
                 if !is_streamed {
                     self.streaming.resumed(submission.lease.as_ref());
@@ -168,7 +171,8 @@ impl Actor {
         let mut record = CommandReport::admitted(id, self.config.name.clone(), submission, now.wall);
         record.requested.holder = self.lease.holder_by(submission.lease.as_ref()).map(|holder| holder.name.clone());
         if is_streamed {
-            self.streaming.count(now, submission, &mut self.recording);
+            let target_mm = self.limited_target(&submission.action).map(|target| target.width_mm);
+            self.streaming.count(now, submission, target_mm, &mut self.recording);
         } else {
             tracing::info!(gripper = %self.config.name, command = %id, %kind, client = %submission.client.subject, "command admitted");
             self.recording.admitted(now, &record, submission);

@@ -56,7 +56,9 @@ impl Actor {
             let token = self.lease.token().cloned();
             let keep = self.lease.bind(now.instant, token.as_ref());
             let times_taken = self.lease.times_taken();
-            AcquiredLease { lease: self.lease.view(now.instant, token.as_ref()), times_taken, keep }
+            // The caller decides whether its connection keeps the lease.
+            let lease = Lease { bound: None, ..self.lease.view(now.instant, token.as_ref()) };
+            AcquiredLease { lease, times_taken, keep }
         });
         // If the caller is gone, the lease runs out.
         self.answers.add(answer, granted);

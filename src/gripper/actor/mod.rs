@@ -38,6 +38,7 @@ mod recording;
 mod running;
 mod scripts;
 mod steering;
+mod stream_limits;
 mod streaming;
 mod timers;
 

@@ -168,13 +168,19 @@ impl Actor {
         is_new_grip && self.observed.values.is_holding(now.instant)
     }
 
-    /// Requests the values of a device that does not send them by itself, so that a motion's result has newer ones.
+    /// Requests the values that the device has now, so that a motion's result does not wait for the next updates. A line
+    /// of known rate carries its updates as often as it can, so their requests would only delay them.
     fn request_values(&mut self, now: Now) {
-        if self.observed.flows() {
+        let flows = self.observed.flows();
+        let is_awaited = self.motion.running.as_ref().is_some_and(|running| !running.is_streamed);
+        let is_quick = is_awaited && self.link.properties.bytes_per_second.is_none() && !self.pacing.is_slow();
+        if flows && !is_quick {
             return;
         }
         for command in automatic_updates::switch_on_all(self.update_rules(), self.link.properties.bytes_per_second) {
-            self.observed.requested(now.instant, command.id());
+            if !flows {
+                self.observed.requested(now.instant, command.id());
+            }
             // Without a reply, the result has no value.
             let _ = self.link.submit(now, command, Purpose::Upkeep);
         }

@@ -22,7 +22,8 @@ const MOTION_MARGIN: Duration = Duration::from_secs(10);
 const BEGINS_WITHIN: Duration = Duration::from_secs(2);
 
 /// Longest wait for values measured after a motion, beyond the period of the updates, so that its result and the
-/// client's next read have the values at rest. The next updates usually end the wait sooner.
+/// client's next read have the values at rest. Values requested at the end, or the next updates, usually end the wait
+/// sooner.
 const SETTLES_WITHIN: Duration = Duration::from_millis(50);
 
 /// Longest wait for the gripper state that confirms a grip. A packet that is lost on the network is repeated meanwhile.

@@ -55,6 +55,8 @@ pub(super) struct Streaming {
     /// Lease token of that command, and the id of its script.
     token: Option<LeaseToken>,
     raw_id: u8,
+    /// Width of its target in mm, if the limits of streams concern it.
+    target_mm: Option<f32>,
     /// Time from which on the stream is silent: that of the newest command, or of its end.
     silent_since: Option<Instant>,
     /// Number of Stops that fingers without a stream have got, and the time of the next look at them.
@@ -132,13 +134,25 @@ impl Streaming {
         }
     }
 
+    /// Width in mm of the newest target, if the client of this token streams.
+    pub(super) fn target_mm(&self, now: Instant, token: Option<&LeaseToken>) -> Option<f32> {
+        let is_active = self.at.is_some_and(|at| now < at + LASTS) && self.token.as_ref() == token;
+        self.target_mm.filter(|_| is_active)
+    }
+
     /// Counts an admitted command. The first one is recorded at once.
-    pub(super) fn count(&mut self, now: Now, submission: &Submission, recording: &mut Recording) {
+    pub(super) fn count(
+        &mut self,
+        now: Now,
+        submission: &Submission,
+        target_mm: Option<f32>,
+        recording: &mut Recording,
+    ) {
         let Action::Motion(Motion::Custom(custom)) = &submission.action else { return };
         let id = custom.id();
         let client = &submission.client;
         (self.at, self.silent_since, self.looks_at, self.stops) = (Some(now.instant), Some(now.instant), None, 0);
-        (self.token, self.raw_id) = (submission.lease.clone(), id);
+        (self.token, self.raw_id, self.target_mm) = (submission.lease.clone(), id, target_mm);
         match self.counted.entry((id, client.clone())) {
             Entry::Occupied(mut entry) => *entry.get_mut() += 1,
             Entry::Vacant(entry) => {

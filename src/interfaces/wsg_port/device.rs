@@ -107,7 +107,7 @@ impl VirtualDevice {
             motions: 0,
             motions_are_stopping: false,
             fast_stops: FastStops::default(),
-            subscriptions: Subscriptions::default(),
+            subscriptions: Subscriptions::spread(),
             orders: VecDeque::new(),
             refused: VecDeque::new(),
             frames: VecDeque::new(),

@@ -66,6 +66,9 @@ impl Cause {
 fn remedy(id: u8, rejection: &Rejection) -> &'static str {
     let is_script = id::describe(id).is_none();
     match rejection {
+        Rejection::Invalid(Invalid::OutOfRange { .. }) if is_script => {
+            "send a nearer or slower target, or change stream_max_step_mm and stream_max_speed_mm_s"
+        }
         Rejection::Invalid(Invalid::OutOfRange { .. }) => "change the target, or the soft limits (34h, 36h)",
         Rejection::Invalid(Invalid::Malformed { .. }) => "see the command's parameters in the gripper's manual",
         Rejection::Conflict(conflict) => match conflict {

@@ -3,6 +3,10 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::TcpStream;
+use tokio::time::interval;
+
 use super::{CMD_FAILED, Cell, GRIP, MOVE, SUCCESS};
 use crate::harness::wsg::{PENDING, floats, move_to, request};
 
@@ -32,6 +36,31 @@ async fn blocking_driver_works() {
     drop(driver);
     let state = cell.gateway.until("the lease is free", |state| state["lease_holder"].is_null()).await;
     assert_eq!(state["fast_stop"], false, "the driver left while the gripper stood");
+}
+
+/// A driver that takes only the first frame of each read, and reads less often than frames come. It sees every value,
+/// because those of equal periods do not arrive together.
+#[tokio::test]
+async fn driver_that_takes_one_frame_a_read_sees_every_value() {
+    const READS: usize = 60;
+    let cell = Cell::homed().await;
+    let mut stream = TcpStream::connect(cell.port).await.unwrap();
+    for id in [0x40, 0x41, 0x43, 0x44, 0x45] {
+        stream.write_all(&request(id, &[1, 20, 0])).await.unwrap();
+    }
+    // No multiple of the period, so that the reads come at all times of it.
+    let mut due = interval(Duration::from_millis(27));
+    let mut first = BTreeMap::<u8, usize>::new();
+    for _ in 0..READS {
+        due.tick().await;
+        let mut bytes = [0; 4096];
+        let read = stream.read(&mut bytes).await.unwrap();
+        assert!(read > 6, "{read} bytes");
+        *first.entry(bytes[3]).or_default() += 1;
+    }
+    for id in [0x40, 0x41, 0x43, 0x44, 0x45] {
+        assert!(first.get(&id).is_some_and(|count| *count >= READS / 20), "{id:02X}h: {first:?}");
+    }
 }
 
 /// A driver that enables all updates, and finds its replies among them by id.

@@ -5,8 +5,8 @@ use std::time::{Duration, Instant};
 use serde_json::json;
 use tokio::time::{MissedTickBehavior, interval};
 
-use super::{ACCESS_DENIED, SUCCESS, configured, connect};
-use crate::harness::wsg::Driver;
+use super::{ACCESS_DENIED, FORMAT_ERROR, RANGE_ERROR, SUCCESS, configured, connect};
+use crate::harness::wsg::{Driver, floats};
 use crate::harness::{Gateway, Scripted, Table, eventually, success};
 
 /// Ids of a streamed script, an ordinary motion script, and a script that only reads.
@@ -139,4 +139,34 @@ async fn client_lost_after_its_stream_stops_nothing() {
     driver.reset();
     let state = gateway.until("the lease is free", |state| state["lease_holder"].is_null()).await;
     assert_eq!((&state["fast_stop"], device.frames.count(0x23)), (&json!(false), 0));
+}
+
+/// Request of a script in the form of public projects: one byte, width, speed, two gains and two forces.
+fn target(width_mm: f32, speed_mm_s: f32) -> Vec<u8> {
+    [&[0], floats(&[width_mm, speed_mm_s, 15.0, 0.001, 20.0, 20.0]).as_slice()].concat()
+}
+
+/// A controller that pauses and goes on elsewhere makes the fingers jump.
+#[tokio::test]
+async fn jump_after_a_gap_is_refused_if_configured() {
+    let device = Scripted::start(Table::from([(STREAM, vec![success(&[STREAM])])])).await;
+    let text = format!(
+        "[grippers.g]\nurl = \"tcp://{}\"\nstream_ids = [{STREAM}]\nservo_id = {STREAM}\nservo_adapter = \"position_pd\"\n\
+         stream_max_step_mm = 5\nstream_max_speed_mm_s = 150\nwsg_port = \"127.0.0.1:0\"\n",
+        device.address
+    );
+    let gateway = configured(&text).await;
+    let width_mm = gateway.state().await["width_mm"].as_f64().unwrap() as f32;
+    let mut driver = connect(&gateway).await;
+    assert_eq!(driver.status(STREAM, &target(width_mm + 6.0, 100.0)).await, RANGE_ERROR, "the first target");
+    for step in [2.0, 4.0, 8.0] {
+        assert_eq!(driver.status(STREAM, &target(width_mm - step, 100.0)).await, SUCCESS);
+    }
+    assert_eq!(driver.status(STREAM, &target(width_mm - 14.0, 100.0)).await, RANGE_ERROR);
+    assert_eq!(driver.status(STREAM, &target(width_mm - 8.0, 200.0)).await, RANGE_ERROR);
+    assert_eq!(driver.status(STREAM, &[0; 8]).await, FORMAT_ERROR);
+    assert_eq!(driver.status(STREAM, &target(width_mm - 9.0, 150.0)).await, SUCCESS);
+    assert_eq!(device.frames.count(STREAM), 4);
+    let lease = gateway.get("lease").await.ok();
+    assert_eq!((&lease["bound"], &lease["expires_in_ms"]), (&json!(true), &json!(3000)), "{lease}");
 }

@@ -31,6 +31,13 @@ pub(in crate::actor) struct Pacing {
     measured_at: Option<Instant>,
 }
 
+impl Pacing {
+    /// Whether the link cannot carry its updates at their own period.
+    pub(in crate::actor) fn is_slow(&self) -> bool {
+        self.slowed_to_ms > 0
+    }
+}
+
 impl Actor {
     /// Rules of the updates on the current link.
     pub(in crate::actor) fn update_rules(&self) -> UpdateRules {

@@ -177,3 +177,82 @@ fn stop_without_a_valid_result_is_unknown() {
         assert!(!waits_long, "{:?}", command.detail);
     }
 }
+
+const GETTERS: [u8; 5] = [id::GET_SYSTEM_STATE, id::GET_GRIPPER_STATE, id::GET_WIDTH, id::GET_SPEED, id::GET_FORCE];
+
+/// A device with automatic updates that has just accepted a motion. It holds back the replies to all getters.
+fn moving(properties: LinkProperties, motion: Motion) -> (Rig, Ticket) {
+    let mut rig = Rig::connected(config(properties));
+    rig.device.held.extend(GETTERS);
+    let request = motion.request().id();
+    rig.device.held.insert(request);
+    rig.updates(GETTERS);
+    let (_, ticket) = begin(&mut rig, motion);
+    rig.reply(request, Status::E_CMD_PENDING, &[]);
+    rig.device.received.clear();
+    (rig, ticket)
+}
+
+impl Rig {
+    /// Sends the present values of these getters, as automatic updates or as replies.
+    pub(super) fn updates<const N: usize>(&mut self, ids: [u8; N]) {
+        for id in ids {
+            let (status, data) = self.device.execute(id, &[]);
+            self.reply(id, status, &data);
+        }
+    }
+
+    /// Ends the motion, after all values have just come as updates. Returns the getters that the device gets then.
+    fn end_motion(&mut self, request: u8, status: Status) -> Vec<u8> {
+        self.updates(GETTERS);
+        self.reply(request, status, &[]);
+        self.exchange();
+        self.device.received.iter().map(|(id, _)| *id).collect()
+    }
+}
+
+fn release_motion() -> Motion {
+    Motion::Release { width: Width::new(50.0).unwrap(), speed: Speed::new(50.0).unwrap() }
+}
+
+#[test]
+fn result_has_values_requested_at_the_end_of_the_motion() {
+    let (mut rig, ticket) = moving(TCP, release_motion());
+    assert_eq!(rig.end_motion(id::RELEASE, Status::E_SUCCESS), GETTERS);
+    assert_eq!(ticket.now().outcome, None, "the values known so far were measured before the end");
+    rig.now.instant += Duration::from_micros(200);
+    rig.updates([id::GET_SYSTEM_STATE, id::GET_GRIPPER_STATE, id::GET_WIDTH, id::GET_SPEED]);
+    assert_eq!(ticket.now().outcome, None, "the force is from before the end");
+    rig.updates([id::GET_FORCE]);
+    let command = ticket.now();
+    assert_eq!((command.outcome, command.width_mm, command.force_n), (Some(Outcome::Success), Some(0.0), Some(0.0)));
+    assert!(rig.actor.observed.flows(), "the replies are no sign that the updates have stopped");
+}
+
+#[test]
+fn slow_line_gets_no_requests_for_the_values_of_a_result() {
+    let serial = LinkProperties { name: "serial", bytes_per_second: Some(11_520), ..TCP };
+    let (mut rig, ticket) = moving(serial, release_motion());
+    assert!(rig.end_motion(id::RELEASE, Status::E_SUCCESS).is_empty());
+    rig.now.instant += Duration::from_millis(12);
+    rig.updates(GETTERS);
+    assert_eq!(ticket.now().outcome, Some(Outcome::Success));
+}
+
+#[test]
+fn grip_whose_requested_state_is_grasping_waits_for_holding() {
+    const GRASPING: u8 = 1;
+    const HOLDING: u8 = 4;
+    let (width, speed) = (Width::new(20.0).unwrap(), Speed::new(50.0).unwrap());
+    let grip = Motion::Grip { width, speed, force: None, part_id: None, recipe: None, is_reference: false };
+    let (mut rig, ticket) = moving(TCP, grip);
+    rig.device.gripper_state = GRASPING;
+    assert_eq!(rig.end_motion(id::GRIP, Status::E_SUCCESS), GETTERS);
+    rig.now.instant += Duration::from_micros(200);
+    rig.updates(GETTERS);
+    assert_eq!(ticket.now().outcome, None);
+    rig.device.gripper_state = HOLDING;
+    rig.now.instant += Duration::from_millis(10);
+    rig.updates(GETTERS);
+    assert_eq!(ticket.now().outcome, Some(Outcome::PartHeld));
+}

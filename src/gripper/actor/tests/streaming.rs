@@ -1,8 +1,8 @@
 //! Streams of targets for a script: silence stops, and a Stop holds.
 
 use super::*;
-use model::error::Failure;
-use model::{Action, CustomIds, LeaseToken, Motion, Submission, TakeLease};
+use model::error::{Failure, Invalid};
+use model::{Action, CustomIds, LeaseToken, Motion, ServoAdapter, ServoRules, Submission, TakeLease};
 use wsg::{CustomCommand, Speed, Width};
 
 const SCRIPT: u8 = 0xB1;
@@ -211,4 +211,69 @@ fn stop_of_fingers_without_a_stream_holds_nothing_off() {
     rig.pass_with_flags(1100, SystemState::empty());
     rig.submit(Action::Stop, &token).unwrap();
     rig.target(&token).unwrap();
+}
+
+/// A stream whose targets are limited. The measured width is 0.
+fn limited() -> (Rig, LeaseToken) {
+    let custom_ids = CustomIds { stream: [SCRIPT].into(), ..CustomIds::default() };
+    let servo = ServoRules {
+        adapter: ServoAdapter::WidthSpeed,
+        stream_max_step_mm: 10,
+        stream_max_speed_mm_s: 100,
+        ..ServoRules::default()
+    };
+    let rules = GripperRules { custom_ids, servo, ..Default::default() };
+    let mut rig = Rig::connected(ActorConfig { rules, ..config(TCP) });
+    rig.flags(SystemState::MOVING);
+    (rig, LeaseToken::generate())
+}
+
+impl Rig {
+    fn aim_stream(&mut self, token: &LeaseToken, width_mm: f32, speed_mm_s: f32) -> Result<(), Rejection> {
+        let payload = [&[0][..], &width_mm.to_le_bytes(), &speed_mm_s.to_le_bytes()].concat();
+        let target = CustomCommand::new(SCRIPT, payload).unwrap();
+        self.submit(Action::Motion(Motion::Custom(target)), token)
+    }
+}
+
+fn is_beyond(result: &Result<(), Rejection>, setting: &str) -> bool {
+    matches!(result, Err(Rejection::Invalid(Invalid::OutOfRange { limit, .. })) if *limit == setting)
+}
+
+#[test]
+fn jump_of_a_stream_is_refused() {
+    let (mut rig, token) = limited();
+    assert!(
+        is_beyond(&rig.aim_stream(&token, 10.5, 50.0), "stream_max_step_mm"),
+        "the first target, from the measured width"
+    );
+    for width_mm in [5.0, 14.0, 20.0] {
+        rig.aim_stream(&token, width_mm, 50.0).unwrap();
+        rig.pass_with_flags(20, SystemState::MOVING);
+    }
+    for width_mm in [30.5, 9.5, f32::NAN] {
+        assert!(is_beyond(&rig.aim_stream(&token, width_mm, 50.0), "stream_max_step_mm"), "{width_mm} mm");
+    }
+    rig.aim_stream(&token, 30.0, 50.0).unwrap();
+    assert_eq!(rig.count(SCRIPT), 4, "nothing of a refused target reaches the device");
+    rig.pass_with_flags(1200, SystemState::empty());
+    rig.updates([id::GET_WIDTH]);
+    assert!(
+        is_beyond(&rig.aim_stream(&token, 31.0, 50.0), "stream_max_step_mm"),
+        "after a gap, from the measured width"
+    );
+    rig.aim_stream(&token, 9.0, 50.0).unwrap();
+}
+
+#[test]
+fn fast_target_of_a_stream_is_refused() {
+    let (mut rig, token) = limited();
+    rig.aim_stream(&token, 5.0, 100.0).unwrap();
+    for speed_mm_s in [100.5, -1.0, f32::INFINITY] {
+        let refused = rig.aim_stream(&token, 5.0, speed_mm_s);
+        assert!(is_beyond(&refused, "stream_max_speed_mm_s"), "{speed_mm_s} mm/s");
+    }
+    let cut = rig.target(&token).unwrap_err().to_string();
+    assert!(cut.contains("no width and speed"), "{cut}");
+    assert_eq!(rig.count(SCRIPT), 1);
 }
