@@ -5,6 +5,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use super::access::{AccessContent, ClientContent, TlsContent};
+use super::mqtt::MqttContent;
 use super::webhooks::WebhookContent;
 use super::zenoh::ZenohContent;
 use super::*;
@@ -34,7 +35,7 @@ const CLIENT_WITH_CERTIFICATE: &str = "
 ";
 
 /// The sections in the order of the example file, with their headings there.
-fn sections() -> [(&'static str, &'static str, Vec<DeclaredKey>); 7] {
+fn sections() -> [(&'static str, &'static str, Vec<DeclaredKey>); 8] {
     [
         ("access", "[access]", AccessContent::keys()),
         ("clients", "[[clients]]", ClientContent::keys()),
@@ -42,6 +43,7 @@ fn sections() -> [(&'static str, &'static str, Vec<DeclaredKey>); 7] {
         ("drift", "[drift]", DriftContent::keys()),
         ("zenoh", "[zenoh]", ZenohContent::keys()),
         ("webhooks", "[[webhooks]]", WebhookContent::keys()),
+        ("mqtt", "[mqtt]", MqttContent::keys()),
         ("grippers", "[grippers.left]", GripperContent::keys()),
     ]
 }

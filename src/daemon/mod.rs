@@ -37,6 +37,7 @@ use crate::events::LiveUpdates;
 use crate::fleet::Peers;
 use crate::gripper::recorder::{Record, Recorder as _};
 use crate::gripper::{Grippers, Now};
+use crate::interfaces::mqtt::{MqttContext, MqttRunner};
 use crate::interfaces::{self, Bounds, http, zenoh};
 use crate::journal::{self, Journal, Recovered};
 use crate::model::{Detail, Event, GatewayEvent};
@@ -164,6 +165,7 @@ struct RunningGateway {
     zenoh: Option<JoinHandle<()>>,
     grippers: Grippers,
     webhooks: Arc<WebhookRunner>,
+    mqtt: Arc<MqttRunner>,
     audit: Arc<Audit>,
     journal: Journal,
     /// Ends the reloads, the links to the grippers, and everything else, in this order.
@@ -195,6 +197,7 @@ impl RunningGateway {
             zenoh.await?;
         }
         self.webhooks.ended().await;
+        self.mqtt.ended().await;
         if let Some(ports) = ports {
             ports.ended().await?;
         }
@@ -246,6 +249,7 @@ async fn start(
     let expiring = watch_credentials(&access, &settings, &journal, &clients.observers, &registry, &shutdown)?;
     let wear = watch_wear(&config, &journal, &recovered, &clients.observers, &shutdown);
     let alarms = Arc::new(Alarms::new(config.name.clone(), journal.clone(), &recovered.memory));
+    let (outage, broker) = watch::channel(None);
     // The links that draining closes raise no alarms.
     let sources = AlarmSources {
         grippers: grippers.clone(),
@@ -253,6 +257,7 @@ async fn start(
         wear: wear.clone(),
         webhooks: webhooks.webhooks().clone(),
         expiring,
+        broker,
     };
     clients.observers.spawn(alarms.clone().watch(sources, draining.clone()));
     let recipes = Arc::new(Recipes::new(config.name.clone(), journal.clone(), &recovered.memory));
@@ -282,6 +287,14 @@ async fn start(
         settings: settings.clone(),
         refused_sockets: Arc::default(),
     });
+    let mqtt = Arc::new(MqttRunner::new(MqttContext {
+        gateway: context.gateway.clone(),
+        runtimes: clients.clone(),
+        registry: context.registry.clone(),
+        closing: shutdown.clone(),
+        outage,
+    }));
+    mqtt.apply(config.mqtt.clone(), &recovered.memory).await?;
     let on_zenoh = config.zenoh.as_ref().map(|zenoh| zenoh_settings(zenoh, &context)).transpose()?;
     tracing::info!(limit = shares.limit, http = shares.http, wsg_port = shares.wsg_port, "connection limits set");
     let limits = http::ServerLimits::within(Bounds::of(shares.http));
@@ -316,12 +329,25 @@ async fn start(
         accept: clients.accept.clone(),
         grippers: running,
         webhooks: webhooks.clone(),
+        mqtt: mqtt.clone(),
         ports: Ports::serve(ports, grippers.clone(), port_context),
         modbus,
     };
     let stopping = CancellationToken::new();
     let reloading = tokio::spawn(reloader.run(reload_requests, hang_up, stopping.clone()));
-    Ok(RunningGateway { reloading, server, zenoh, grippers, webhooks, audit, journal, stopping, draining, shutdown })
+    Ok(RunningGateway {
+        reloading,
+        server,
+        zenoh,
+        grippers,
+        webhooks,
+        mqtt,
+        audit,
+        journal,
+        stopping,
+        draining,
+        shutdown,
+    })
 }
 
 async fn start_webhooks(

@@ -12,6 +12,7 @@ pub mod foreign;
 pub mod http;
 pub mod metrics;
 pub mod modbus;
+pub mod mqtt;
 pub mod networks;
 mod on_demand;
 mod pace;

@@ -23,6 +23,8 @@ pub enum Door {
     Wsg,
     /// Modbus TCP.
     Modbus,
+    /// MQTT, through a broker.
+    Mqtt,
 }
 
 impl Door {
