@@ -129,8 +129,11 @@ fn example_file() -> String {
 fn example_in_guide() -> String {
     let text = example_file().replace(CLIENT_WITH_CERTIFICATE, "").replace("/etc/wsg-gateway/", "");
     let text = text.replace("/var/lib/wsg-gateway/tokens", "tokens");
-    let names_a_file =
-        |line: &&str| ["config = ", "secret_file = ", "ca_file = "].iter().any(|key| line.starts_with(key));
+    let names_a_file = |line: &&str| {
+        let is_path = line.split(" = ").next().is_some_and(|key| key.ends_with("_file"));
+        // A user needs the file of the password.
+        is_path || line.starts_with("config = ") || line.starts_with("user = ")
+    };
     let lines = text.lines().filter_map(|line| line.strip_prefix('#')).filter(|line| !line.starts_with(' '));
     let lines = lines.filter(|line| !line.is_empty() && !names_a_file(line));
     lines.map(|line| if line.starts_with('[') { format!("\n{line}\n") } else { format!("{line}\n") }).collect()

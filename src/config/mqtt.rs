@@ -8,7 +8,7 @@ use toml::Spanned;
 use super::webhooks::from_file;
 use super::{ConfigError, File, GripperConfig, blank};
 use crate::interfaces::mqtt::{
-    Broker, BrokerCertificate, BrokerLogin, BrokerTls, BrokerUrl, MqttRules, MqttSettings, Topics,
+    Broker, BrokerCertificate, BrokerLogin, BrokerTls, BrokerUrl, InvalidPrefix, MqttRules, MqttSettings, Topics,
 };
 use crate::model::Name;
 use crate::settings::{optional, required, settings};
@@ -26,23 +26,25 @@ settings! {
         broker: Spanned<String> = "broker",
             required(blank(), "`mqtt://HOST:PORT`, `mqtts://HOST:PORT`", "\"mqtts://broker.example:8883\""), Reload;
         /// Beginning of all topics. Each gateway needs its own.
-        prefix: Spanned<String> = "prefix",
-            required(blank(), "levels of a topic", "\"enterprise/site/area/line/cell\""), Reload;
+        prefix: Option<Spanned<String>> = "prefix", optional("levels of a topic", "")
+            .shown("`wsg/` and the gateway's name", "\"enterprise/site/area/line/cell\""), Reload;
         /// Client identifier at the broker. Connections that receive append `-commands` or `-fast-stop`.
         client_id: Option<Spanned<String>> = "client_id",
             optional("1 to 64 letters, digits, `-`, `_`, `.`", "").shown("`wsg-` and the gateway's name", "\"wsg-cell-7\""),
             Reload;
         /// User name at the broker. Needs `password_file`.
-        user: Option<Spanned<String>> = "user", optional("a name", ""), Reload;
+        user: Option<Spanned<String>> = "user", optional("a name", "\"cell-7\""), Reload;
         /// File that contains the password. A relative path starts at the directory of the configuration file.
-        pub(super) password_file: Option<Spanned<PathBuf>> = "password_file", optional("a path", ""), Reload;
+        pub(super) password_file: Option<Spanned<PathBuf>> = "password_file",
+            optional("a path", "\"broker.password\""), Reload;
         /// Certificates of the authorities that the broker's certificate can come from, in PEM form.
         pub(super) ca_file: Option<Spanned<PathBuf>> = "ca_file",
-            optional("a path", "").shown("public authorities", ""), Reload;
+            optional("a path", "").shown("public authorities", "\"plant-ca.pem\""), Reload;
         /// The gateway's own certificate for the broker, in PEM form. Needs `key_file`.
-        pub(super) certificate_file: Option<Spanned<PathBuf>> = "certificate_file", optional("a path", ""), Reload;
+        pub(super) certificate_file: Option<Spanned<PathBuf>> = "certificate_file",
+            optional("a path", "\"gateway.pem\""), Reload;
         /// Private key of this certificate, in PEM form.
-        pub(super) key_file: Option<Spanned<PathBuf>> = "key_file", optional("a path", ""), Reload;
+        pub(super) key_file: Option<Spanned<PathBuf>> = "key_file", optional("a path", "\"gateway-key.pem\""), Reload;
         group rules: MqttRules;
     }
 }
@@ -55,7 +57,13 @@ pub(super) fn settings(
 ) -> Result<Option<MqttSettings>, ConfigError> {
     let Some(content) = &file.content.mqtt else { return Ok(None) };
     let url: BrokerUrl = parsed(file, &content.broker)?;
-    let topics: Topics = parsed(file, &content.prefix)?;
+    let topics: Topics = match &content.prefix {
+        Some(prefix) => parsed(file, prefix)?,
+        // A name is a valid level of a topic.
+        None => {
+            default_topics(name).map_err(|error| ConfigError::at(&file.place(content.broker.span().start), error))?
+        }
+    };
     if let Some(gripper) = grippers.iter().find(|gripper| RESERVED.contains(&gripper.name.as_str())) {
         let detail = format!("MQTT has topics of its own named {}: give the gripper another name", gripper.name);
         return Err(ConfigError::at(&gripper.place, detail));
@@ -68,6 +76,10 @@ pub(super) fn settings(
         login: login(file, content)?,
         rules: content.rules.clone(),
     }))
+}
+
+fn default_topics(name: &Name) -> Result<Topics, InvalidPrefix> {
+    format!("wsg/{name}").parse()
 }
 
 fn parsed<T: std::str::FromStr<Err: std::fmt::Display>>(file: &File, text: &Spanned<String>) -> Result<T, ConfigError> {
@@ -168,6 +180,8 @@ mod tests {
         let mqtt = config(SECTION).unwrap().mqtt.unwrap();
         assert_eq!((mqtt.client_id.as_str(), mqtt.broker.port), ("wsg-gateway", 1883));
         assert!(!mqtt.rules.commands && !mqtt.rules.fast_stop && mqtt.rules.events && mqtt.rules.grips);
+        let without_prefix = config("[mqtt]\nbroker = \"mqtt://127.0.0.1\"\n").unwrap().mqtt.unwrap();
+        assert_eq!(without_prefix.topics.to_string(), "wsg/gateway");
         assert_eq!((mqtt.rules.role, mqtt.rules.telemetry_interval), (Role::Operator, None));
     }
 

@@ -31,6 +31,7 @@ mod logs;
 mod mdns;
 mod metrics;
 mod modbus;
+mod mqtt;
 mod noisy_udp;
 mod recipes;
 mod recordings;

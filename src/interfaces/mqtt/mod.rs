@@ -18,6 +18,8 @@
 //! already knows what to repeat.
 
 mod connection;
+#[cfg(test)]
+mod documents_tests;
 mod failure;
 mod fast_stop;
 mod live;
@@ -58,8 +60,6 @@ use supervision::keep_serving;
 
 pub use connection::check;
 pub use failure::MqttFailure;
-#[cfg(test)]
-pub(crate) use requests::offered;
 pub use settings::{
     Broker, BrokerCertificate, BrokerLogin, BrokerTls, BrokerUrl, InvalidMqttSetting, MqttRules, MqttSettings,
 };

@@ -193,7 +193,7 @@ fn is_fast_stop(name: &str) -> bool {
 }
 
 /// Operations that MQTT clients can request.
-pub(crate) fn offered() -> impl Iterator<Item = &'static operations::Operation> + Clone {
+pub(super) fn offered() -> impl Iterator<Item = &'static operations::Operation> + Clone {
     all().filter(|operation| !operation.name.starts_with(LEASE))
 }
 
