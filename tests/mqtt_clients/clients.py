@@ -1,9 +1,11 @@
-"""Clients that nobody here wrote: paho and aiomqtt. Checks state, records, commands and FAST STOP with Mosquitto."""
+"""Clients that nobody here wrote: paho, aiomqtt and MQTT.js. Checks state, records, commands and FAST STOP with Mosquitto.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import json
+import subprocess
 import tempfile
 from pathlib import Path
 
@@ -64,11 +66,12 @@ async def with_aiomqtt(broker: Broker) -> None:
 
         status, homed = await ask("g0/command/home", {}, wait_ms="20000")
         assert (status["status"], homed["outcome"]) == ("200", "SUCCESS"), homed
-        _, grip = await ask("g0/command/grip", {"width_mm": 20}, wait_ms="20000", request_id="job-1", client="mes")
-        assert grip["outcome"] == "PART_HELD", grip
-        _, repeated = await ask("g0/command/grip", {"width_mm": 20}, wait_ms="20000", request_id="job-1")
-        assert repeated["command_id"] == grip["command_id"]
-        status, refused = await ask("g0/command/move", {"width_mm": 500})
+        request = {"wait_ms": "20000", "request_id": "job-1", "client": "mes"}
+        _, grip = await ask("g0/command/grip", {"width_mm": 20, "speed_mm_s": 200}, **request)
+        assert grip.get("outcome") == "PART_HELD", grip
+        _, repeated = await ask("g0/command/grip", {"width_mm": 20, "speed_mm_s": 200}, **request)
+        assert repeated["id"] == grip["id"], repeated
+        status, refused = await ask("g0/command/move", {"width_mm": 500, "speed_mm_s": 200})
         assert (status["status"], refused["code"]) == ("422", "out_of_range"), refused
     print("aiomqtt: requests, answers and refusals")
 
@@ -87,6 +90,8 @@ def main() -> None:
                 until("the subscriber", database.exists)
                 with_paho(broker, gateway)
                 asyncio.run(with_aiomqtt(broker))
+                program = Path(__file__).with_name("requests.mjs")
+                subprocess.run(["node", str(program), str(broker.port)], check=True, timeout=60)
                 print("subscriber of the guide:", compare(gateway, database))
             gateway.terminate()
         finally:

@@ -47,7 +47,7 @@ const state = await next((message) => message.topic === 'wsg/cell/g0/state');
 check(JSON.parse(state.text).gripper === 'g0', state.text);
 const read = await ask('g0/command/state', {});
 check(read.status === '200' && read.body.link === 'connected', JSON.stringify(read));
-const refused = await ask('g0/command/grip', { width_mm: 500 });
+const refused = await ask('g0/command/grip', { width_mm: 500, speed_mm_s: 200 });
 check(refused.status === '422' && refused.body.code === 'out_of_range', JSON.stringify(refused));
 await client.endAsync();
 console.log('MQTT.js: retained state, requests and refusals');

@@ -162,10 +162,10 @@ class Load:
                 path = f"/grippers/{name}"
                 self._gateway.post(f"{path}/home?wait_ms=20000", {})
                 while not self._is_over.is_set():
-                    grip = self._gateway.post(f"{path}/grip?wait_ms=20000", {"width_mm": 20, "part_id": f"part-{name}"})
+                    grip = self._gateway.post(f"{path}/grip?wait_ms=20000", {"width_mm": 20, "speed_mm_s": 200, "part_id": f"part-{name}"})
                     self.grips += grip["phase"] == "done"
                     self._is_over.wait(self._pause_s)
-                    self._gateway.post(f"{path}/release?wait_ms=20000", {"width_mm": 23})
+                    self._gateway.post(f"{path}/release?wait_ms=20000", {"width_mm": 23, "speed_mm_s": 200})
                     self._is_over.wait(self._pause_s)
             self._is_over.wait(0.1)
 

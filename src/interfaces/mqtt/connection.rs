@@ -55,7 +55,7 @@ pub(super) const AVAILABILITY: &str = "availability";
 /// another.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, IntoStaticStr)]
 #[strum(serialize_all = "snake_case")]
-pub enum Purpose {
+pub enum ConnectionPurpose {
     Publications,
     Commands,
     FastStops,
@@ -63,7 +63,7 @@ pub enum Purpose {
     Check,
 }
 
-impl Purpose {
+impl ConnectionPurpose {
     pub(super) fn name(self) -> &'static str {
         self.into()
     }
@@ -79,11 +79,11 @@ impl Purpose {
 }
 
 /// A byte pipe to a broker, encrypted or not.
-pub(super) trait Pipe: AsyncRead + AsyncWrite + Send + Unpin {}
+pub(super) trait BrokerPipe: AsyncRead + AsyncWrite + Send + Unpin {}
 
-impl<T: AsyncRead + AsyncWrite + Send + Unpin> Pipe for T {}
+impl<T: AsyncRead + AsyncWrite + Send + Unpin> BrokerPipe for T {}
 
-pub(super) type BrokerStream = Framed<Box<dyn Pipe>, Codec>;
+pub(super) type BrokerStream = Framed<Box<dyn BrokerPipe>, Codec>;
 
 /// An open connection.
 pub(super) struct BrokerConnection {
@@ -94,13 +94,13 @@ pub(super) struct BrokerConnection {
 
 impl BrokerConnection {
     /// Opens a connection.
-    pub(super) async fn open(settings: &MqttSettings, purpose: Purpose) -> Result<Self, MqttFailure> {
+    pub(super) async fn open(settings: &MqttSettings, purpose: ConnectionPurpose) -> Result<Self, MqttFailure> {
         let broker = &settings.broker;
         let stream = connect_to_host(&broker.host, broker.port, CONNECTED_WITHIN).await;
         let stream = stream.map_err(MqttFailure::Unreachable)?;
         sockets::prepare(&stream).map_err(MqttFailure::Unreachable)?;
         let opening = async {
-            let pipe: Box<dyn Pipe> = match &broker.tls {
+            let pipe: Box<dyn BrokerPipe> = match &broker.tls {
                 Some(tls) => {
                     let connector = TlsConnector::from(tls.config.clone());
                     let stream = connector.connect(tls.name.clone(), stream).await;
@@ -125,7 +125,7 @@ impl BrokerConnection {
 async fn greet(
     mut stream: BrokerStream,
     settings: &MqttSettings,
-    purpose: Purpose,
+    purpose: ConnectionPurpose,
 ) -> Result<BrokerConnection, MqttFailure> {
     let properties = ConnectProperties {
         receive_maximum: Some(RECEIVE_MAXIMUM),
@@ -138,7 +138,7 @@ async fn greet(
         clean_start: true,
         properties: Some(properties),
     };
-    let will = (purpose == Purpose::Publications).then(|| {
+    let will = (purpose == ConnectionPurpose::Publications).then(|| {
         let topic = settings.topics.own(AVAILABILITY);
         LastWill::new(topic, Bytes::from_static(OFFLINE.as_bytes()), QoS::AtLeastOnce, true, None)
     });
@@ -182,5 +182,5 @@ where
 /// # Errors
 /// The reason why not, with the remedy.
 pub async fn check(settings: &MqttSettings) -> Result<(), MqttFailure> {
-    BrokerConnection::open(settings, Purpose::Check).await?.close().await
+    BrokerConnection::open(settings, ConnectionPurpose::Check).await?.close().await
 }

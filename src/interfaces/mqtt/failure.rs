@@ -57,7 +57,8 @@ impl MqttFailure {
 impl From<mqttbytes::Error> for MqttFailure {
     fn from(error: mqttbytes::Error) -> Self {
         match error {
-            mqttbytes::Error::Io(_) => Self::Closed,
+            // The codec takes a DISCONNECT without a reason for an error (rumqttc 0.25).
+            mqttbytes::Error::Io(_) | mqttbytes::Error::PayloadRequired => Self::Closed,
             error => Self::Invalid(error.to_string()),
         }
     }

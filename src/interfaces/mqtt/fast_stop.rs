@@ -9,9 +9,9 @@ use serde::Deserialize;
 use serde_json::{Map, Value};
 use tokio::runtime::Handle;
 
-use super::message::{Reply, ReplyTo, client};
+use super::message::{MqttReply, ReplyTo, client};
 use super::publisher::JSON;
-use super::receiver::{Outgoing, Receive};
+use super::receiver::{OutgoingPackets, Receive};
 use super::settings::MqttSettings;
 use super::topics::{FAST_STOP, Topics};
 use crate::access::{Identity, Role};
@@ -34,7 +34,7 @@ const MAX_REASON_BYTES: usize = 1024;
 const GRIPPER: &str = "gripper";
 
 /// The FAST STOPs of MQTT clients.
-pub(super) struct FastStops {
+pub(super) struct MqttFastStops {
     gateway: Arc<Gateway>,
     runtime: Handle,
     metrics: InterfaceMetrics,
@@ -69,7 +69,7 @@ struct Remembered {
     gripper: Option<Name>,
     correlation: Bytes,
     /// `None` while it is under way.
-    done: Option<(FastStopId, Reply)>,
+    done: Option<(FastStopId, MqttReply)>,
 }
 
 /// What is known of a FAST STOP that may be a repetition.
@@ -77,10 +77,10 @@ enum Repetition {
     New,
     UnderWay,
     /// Its own latch is still there.
-    Latched(Reply),
+    Latched(MqttReply),
 }
 
-impl FastStops {
+impl MqttFastStops {
     pub(super) fn new(
         gateway: Arc<Gateway>,
         runtime: Handle,
@@ -92,7 +92,7 @@ impl FastStops {
     }
 
     /// Begins a FAST STOP without waiting.
-    pub(super) fn begin(self: &Arc<Self>, message: &Publish, outgoing: &Outgoing) {
+    pub(super) fn begin(self: &Arc<Self>, message: &Publish, outgoing: &OutgoingPackets) {
         let topic = String::from_utf8_lossy(&message.topic);
         let named = self.topics.request(&topic).and_then(|topic| topic.gripper?.parse::<Name>().ok());
         // Without a gripper of this name, all are stopped: the intended one is among them.
@@ -136,7 +136,7 @@ impl FastStops {
         params.extend(gripper.as_ref().map(|name| (GRIPPER.to_owned(), name.as_str().into())));
         let result =
             operations::call(&self.gateway, caller, Method::from(&fast_stop::ALL), Value::Object(params)).await;
-        let reply = Reply::of(&result);
+        let reply = MqttReply::of(&result);
         self.metrics.answered(Some(FAST_STOP), "PUBLISH", reply.status);
         tracing::info!(gripper = gripper.as_ref().map_or("all", Name::as_str), "FAST STOP via MQTT");
         reply_to.send(&reply, JSON);
@@ -157,14 +157,14 @@ impl FastStops {
     }
 
     /// Refuses a FAST STOP that the broker has kept. It would stop at each new connection.
-    fn refuse_retained(&self, message: &Publish, outgoing: &Outgoing) {
+    fn refuse_retained(&self, message: &Publish, outgoing: &OutgoingPackets) {
         let problem = retained();
         self.metrics.answered(Some(FAST_STOP), "PUBLISH", problem.status().as_u16());
         tracing::warn!(
             topic = %String::from_utf8_lossy(&message.topic),
             "MQTT message refused: it is retained; delete it from the broker"
         );
-        ReplyTo::of(message, &self.topics, outgoing).send(&Reply::refusing(&problem), JSON);
+        ReplyTo::of(message, &self.topics, outgoing).send(&MqttReply::refusing(&problem), JSON);
     }
 
     fn lock(&self) -> MutexGuard<'_, Lanes> {
@@ -172,8 +172,8 @@ impl FastStops {
     }
 }
 
-impl Receive for FastStops {
-    fn receive(self: &Arc<Self>, message: Publish, outgoing: &Outgoing) {
+impl Receive for MqttFastStops {
+    fn receive(self: &Arc<Self>, message: Publish, outgoing: &OutgoingPackets) {
         match (message.retain, message.payload.is_empty()) {
             (false, _) => self.begin(&message, outgoing),
             (true, false) => self.refuse_retained(&message, outgoing),
@@ -210,7 +210,7 @@ impl Lanes {
         self.remembered.push_back(Remembered { gripper: request.gripper.clone(), correlation, done: None });
     }
 
-    fn note(&mut self, gripper: &Option<Name>, correlation: &Bytes, reply: &Reply) {
+    fn note(&mut self, gripper: &Option<Name>, correlation: &Bytes, reply: &MqttReply) {
         #[derive(Deserialize)]
         struct Parts {
             fast_stop_id: FastStopId,
@@ -269,7 +269,7 @@ mod tests {
     use super::*;
     use crate::gripper::fake::{self, FakeScript, Seen};
 
-    fn stops(gateway: &Arc<Gateway>) -> Arc<FastStops> {
+    fn stops(gateway: &Arc<Gateway>) -> Arc<MqttFastStops> {
         let settings = MqttSettings {
             broker: Broker { host: "localhost".to_owned(), port: 1, tls: None },
             client_id: "wsg".to_owned(),
@@ -278,7 +278,7 @@ mod tests {
             rules: MqttRules { role: Role::Stop, ..MqttRules::default() },
         };
         let metrics = InterfaceMetrics::register(&Registry::new(), "mqtt").unwrap();
-        Arc::new(FastStops::new(gateway.clone(), Handle::current(), metrics, &settings))
+        Arc::new(MqttFastStops::new(gateway.clone(), Handle::current(), metrics, &settings))
     }
 
     fn message(topic: &str, payload: &str, correlation: Option<&str>) -> Publish {
@@ -322,7 +322,7 @@ mod tests {
         let (left, mut seen) = fake::gripper("left", FakeScript::default());
         let gateway = Gateway::of([left]);
         let stops = stops(&gateway);
-        let (outgoing, mut queue) = Outgoing::channel();
+        let (outgoing, mut queue) = OutgoingPackets::channel();
         let retained = Publish { retain: true, ..message("cell/fast-stop", "old", None) };
         stops.receive(retained, &outgoing);
         assert_eq!(answer(&mut queue).await["field"], "retain");
@@ -335,7 +335,7 @@ mod tests {
         let (left, mut seen) = fake::gripper("left", FakeScript::default());
         let gateway = Gateway::of([left]);
         let stops = stops(&gateway);
-        let (outgoing, _queue) = Outgoing::channel();
+        let (outgoing, _queue) = OutgoingPackets::channel();
         for index in 0..=2 * MAX_UNDER_WAY {
             stops.receive(message("cell/left/fast-stop", &format!("r{index}"), None), &outgoing);
         }

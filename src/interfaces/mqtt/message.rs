@@ -2,10 +2,10 @@
 
 use bytes::Bytes;
 use rumqttc::v5::mqttbytes::QoS;
-use rumqttc::v5::mqttbytes::v5::{Packet, Publish, PublishProperties};
+use rumqttc::v5::mqttbytes::v5::{Publish, PublishProperties};
 use serde_json::value::RawValue;
 
-use super::receiver::Outgoing;
+use super::receiver::OutgoingPackets;
 use super::topics::Topics;
 use crate::fleet::keys::MAX_CLIENT_BYTES;
 use crate::model::{Client, Door, ShownName};
@@ -26,17 +26,17 @@ pub(super) struct ReplyTo {
     /// `None` if the requester wants no answer.
     topic: Option<String>,
     pub(super) correlation: Option<Bytes>,
-    outgoing: Outgoing,
+    outgoing: OutgoingPackets,
 }
 
 /// Result of a request, and its status.
 #[derive(Debug, Clone)]
-pub(super) struct Reply {
+pub(super) struct MqttReply {
     pub(super) status: u16,
     pub(super) body: String,
 }
 
-impl Reply {
+impl MqttReply {
     pub(super) fn of(result: &Result<OperationReply, Problem>) -> Self {
         match result {
             Ok(reply) => Self { status: 200, body: RawValue::get(&reply.body).to_owned() },
@@ -51,7 +51,7 @@ impl Reply {
 }
 
 impl ReplyTo {
-    pub(super) fn of(message: &Publish, topics: &Topics, outgoing: &Outgoing) -> Self {
+    pub(super) fn of(message: &Publish, topics: &Topics, outgoing: &OutgoingPackets) -> Self {
         let properties = message.properties.as_ref();
         let asked = properties.and_then(|properties| properties.response_topic.clone());
         let topic = asked.clone().filter(|topic| topics.allows_response(topic));
@@ -64,7 +64,7 @@ impl ReplyTo {
     }
 
     /// Sends an answer, if the requester wants one. It has QoS 0: a requester without an answer repeats its request.
-    pub(super) fn send(&self, reply: &Reply, json: &str) {
+    pub(super) fn send(&self, reply: &MqttReply, json: &str) {
         let Some(topic) = &self.topic else { return };
         let content_type = if reply.status < 300 { json } else { PROBLEM };
         let properties = PublishProperties {
@@ -74,7 +74,7 @@ impl ReplyTo {
             ..PublishProperties::default()
         };
         let publish = Publish::new(topic, QoS::AtMostOnce, reply.body.clone(), Some(properties));
-        if self.outgoing.send(Packet::Publish(publish)).is_err() {
+        if !self.outgoing.answer(publish) {
             tracing::debug!(topic, "MQTT answer not sent: the connection has ended, or too many answers wait");
         }
     }

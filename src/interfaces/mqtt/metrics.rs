@@ -6,7 +6,7 @@ use prometheus::{IntCounter, IntCounterVec, IntGauge, IntGaugeVec, Opts, Registr
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 
-use super::connection::Purpose;
+use super::connection::ConnectionPurpose;
 use crate::journal::Journal;
 
 /// Metrics of MQTT, which all configurations share.
@@ -49,22 +49,22 @@ impl MqttMetrics {
     }
 
     /// Starts the series of a connection.
-    pub(super) fn serves(&self, purpose: Purpose) {
+    pub(super) fn serves(&self, purpose: ConnectionPurpose) {
         self.connected.with_label_values(&[purpose.name()]).set(0);
         self.failures.with_label_values(&[purpose.name()]);
     }
 
     /// Ends the gauge of a connection.
-    pub(super) fn ends(&self, purpose: Purpose) {
+    pub(super) fn ends(&self, purpose: ConnectionPurpose) {
         // The series is absent if the connection has never begun.
         let _ = self.connected.remove_label_values(&[purpose.name()]);
     }
 
-    pub(super) fn connected(&self, purpose: Purpose, is_connected: bool) {
+    pub(super) fn connected(&self, purpose: ConnectionPurpose, is_connected: bool) {
         self.connected.with_label_values(&[purpose.name()]).set(is_connected.into());
     }
 
-    pub(super) fn failed(&self, purpose: Purpose) {
+    pub(super) fn failed(&self, purpose: ConnectionPurpose) {
         self.failures.with_label_values(&[purpose.name()]).inc();
     }
 

@@ -48,12 +48,12 @@ use crate::interfaces::Runtimes;
 use crate::interfaces::metrics::InterfaceMetrics;
 use crate::model::{PersistedKey, PersistedState};
 use crate::operations::Gateway;
-use connection::Purpose;
-use fast_stop::FastStops;
+use connection::ConnectionPurpose;
+use fast_stop::MqttFastStops;
 use metrics::MqttMetrics;
 use position::StoredPosition;
 use publisher::Publisher;
-use receiver::{Receive, Receiver, Subscription};
+use receiver::{MqttReceiver, Receive, TopicSubscription};
 use requests::Requests;
 use status::MqttStatus;
 use supervision::keep_serving;
@@ -168,13 +168,13 @@ impl MqttRunner {
         let ending = closing.child_token();
         let status = Arc::new(MqttStatus::new(settings.broker.to_string(), metrics, outage.clone()));
         let mut receiving = Vec::new();
-        let stops = FastStops::new(gateway.clone(), runtimes.accept.clone(), of_interface.clone(), &settings);
+        let stops = MqttFastStops::new(gateway.clone(), runtimes.accept.clone(), of_interface.clone(), &settings);
         let stops = Arc::new(stops);
         if settings.rules.fast_stop {
-            let receiver = Receiver {
-                purpose: Purpose::FastStops,
+            let receiver = MqttReceiver {
+                purpose: ConnectionPurpose::FastStops,
                 // A FAST STOP that is published as a retained one stops, too: only the broker's repetitions do not.
-                subscription: Subscription { topics: settings.topics.fast_stops().into(), shows_retained: false },
+                subscription: TopicSubscription { topics: settings.topics.fast_stops().into(), shows_retained: false },
                 receive: stops.clone(),
                 status: status.clone(),
                 metrics: of_interface.clone(),
@@ -185,9 +185,9 @@ impl MqttRunner {
         if settings.rules.commands {
             let runtime = runtimes.requests.clone();
             let requests = Requests::new(gateway.clone(), runtime, of_interface.clone(), &settings, stops);
-            let receiver = Receiver {
-                purpose: Purpose::Commands,
-                subscription: Subscription { topics: settings.topics.requests().into(), shows_retained: true },
+            let receiver = MqttReceiver {
+                purpose: ConnectionPurpose::Commands,
+                subscription: TopicSubscription { topics: settings.topics.requests().into(), shows_retained: true },
                 receive: Arc::new(requests),
                 status: status.clone(),
                 metrics: of_interface,
@@ -208,7 +208,7 @@ impl MqttRunner {
     }
 }
 
-async fn receive<R: Receive>(mut receiver: Receiver<R>, settings: Arc<MqttSettings>) {
+async fn receive<R: Receive>(mut receiver: MqttReceiver<R>, settings: Arc<MqttSettings>) {
     let status = receiver.status.clone();
     let ending = receiver.ending.clone();
     keep_serving(&mut receiver, &settings, &status, &ending).await;

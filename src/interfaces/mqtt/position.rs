@@ -17,7 +17,7 @@ const NOTED_EVERY: Duration = Duration::from_secs(1);
 
 /// List of the journal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Chain {
+pub(super) enum PublishedList {
     Events,
     Grips,
 }
@@ -45,16 +45,16 @@ impl StoredPosition {
 
 /// Completes the records of a list up to a sequence number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Step {
-    pub(super) chain: Chain,
+pub(super) struct RecordStep {
+    pub(super) chain: PublishedList,
     pub(super) seq: i64,
 }
 
 impl Position {
-    pub(super) fn advance(&mut self, step: Step) {
+    pub(super) fn advance(&mut self, step: RecordStep) {
         let position = match step.chain {
-            Chain::Events => &mut self.events,
-            Chain::Grips => &mut self.grips,
+            PublishedList::Events => &mut self.events,
+            PublishedList::Grips => &mut self.grips,
         };
         *position = step.seq;
     }
@@ -62,14 +62,14 @@ impl Position {
 
 /// Progress through the journal.
 #[derive(Debug)]
-pub(super) struct Progress {
+pub(super) struct PublishedProgress {
     pub(super) acknowledged: Position,
     settled: Position,
     /// Earlier values of `acknowledged` with their times, oldest first.
     noted: VecDeque<(Instant, Position)>,
 }
 
-impl Progress {
+impl PublishedProgress {
     pub(super) fn at(position: Position) -> Self {
         Self { acknowledged: position, settled: position, noted: VecDeque::new() }
     }
@@ -107,7 +107,7 @@ mod tests {
     #[test]
     fn records_before_a_lost_connection_are_published_again() {
         let begin = Instant::now();
-        let mut progress = Progress::at(Position::default());
+        let mut progress = PublishedProgress::at(Position::default());
         let mut settled = Vec::new();
         for second in 0..15 {
             progress.acknowledged = Position { events: second + 1, grips: 0 };
@@ -128,7 +128,7 @@ mod tests {
 
     #[test]
     fn orderly_end_repeats_nothing() {
-        let mut progress = Progress::at(Position::default());
+        let mut progress = PublishedProgress::at(Position::default());
         progress.acknowledged = Position { events: 9, grips: 4 };
         progress.settle(Instant::now());
         assert_eq!(progress.end(), Position { events: 9, grips: 4 });

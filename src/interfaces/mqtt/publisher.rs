@@ -10,11 +10,11 @@ use rumqttc::v5::mqttbytes::v5::{Packet, PingReq, Publish, PublishProperties};
 use tokio::time::{Interval, MissedTickBehavior, interval, timeout};
 use tokio_util::sync::CancellationToken;
 
-use super::connection::{AVAILABILITY, BrokerConnection, LOST_AFTER, OFFLINE, ONLINE, PINGED_EVERY, Purpose};
+use super::connection::{AVAILABILITY, BrokerConnection, ConnectionPurpose, LOST_AFTER, OFFLINE, ONLINE, PINGED_EVERY};
 use super::connection::{received, send};
 use super::failure::MqttFailure;
 use super::live::{Live, LiveMessage};
-use super::position::{Chain, Position, Progress, StoredPosition};
+use super::position::{Position, PublishedList, PublishedProgress, StoredPosition};
 use super::records::{JournalRecord, PublishedLists, RecordError, Records};
 use super::settings::MqttSettings;
 use super::status::MqttStatus;
@@ -50,7 +50,7 @@ pub(super) struct Publisher {
     status: Arc<MqttStatus>,
     ending: CancellationToken,
     live: Live,
-    progress: Progress,
+    progress: PublishedProgress,
     /// Position that was stored last; `None` if none was stored yet.
     stored: Option<StoredPosition>,
 }
@@ -92,7 +92,7 @@ impl Publisher {
     ) -> Self {
         let live = Live::new(settings.topics.clone(), gateway.clone());
         let position = stored.unwrap_or_default().or(newest);
-        let progress = Progress::at(position);
+        let progress = PublishedProgress::at(position);
         let mut publisher = Self { gateway, settings, status, ending, live, progress, stored };
         // Without a stored position, a restart before the first record would skip the records until then.
         publisher.store(position);
@@ -169,7 +169,7 @@ impl Publisher {
         self.status.metrics.records.inc_by(records.unsigned_abs());
         if !link.is_confirmed {
             link.is_confirmed = true;
-            self.status.connected(Purpose::Publications);
+            self.status.connected(ConnectionPurpose::Publications);
         }
         Ok(())
     }
@@ -216,8 +216,8 @@ impl Publisher {
         let JournalRecord { chain, gripper, seq, body, step } = record;
         let journal_id = self.gateway.journal.id().to_string();
         let (list, schema) = match chain {
-            Chain::Events => ("events", "StoredEvent"),
-            Chain::Grips => ("grips", "StoredGripRecord"),
+            PublishedList::Events => ("events", "StoredEvent"),
+            PublishedList::Grips => ("grips", "StoredGripRecord"),
         };
         let topic = self.settings.topics.of(gripper.as_ref(), list);
         let payload = with_journal_id(&body, &journal_id);
@@ -274,8 +274,8 @@ impl Publisher {
 }
 
 impl Serve for Publisher {
-    fn purpose(&self) -> Purpose {
-        Purpose::Publications
+    fn purpose(&self) -> ConnectionPurpose {
+        ConnectionPurpose::Publications
     }
 
     async fn serve(&mut self, connection: BrokerConnection) -> Result<(), MqttFailure> {

@@ -14,28 +14,33 @@ use tokio::sync::mpsc;
 use tokio::time::{MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
 
-use super::connection::{BrokerConnection, BrokerStream, LOST_AFTER, PINGED_EVERY, Purpose, received, send};
+use super::connection::{BrokerConnection, BrokerStream, ConnectionPurpose, LOST_AFTER, PINGED_EVERY, received, send};
 use super::failure::MqttFailure;
 use super::status::MqttStatus;
 use super::supervision::Serve;
 use crate::gripper::Now;
 use crate::interfaces::metrics::InterfaceMetrics;
 
-/// Messages that wait to be written. More than a broker may send without acknowledgements, and than there can be
-/// answers under way.
+/// Messages that wait to be written.
 const MAX_OUTGOING: usize = 2048;
+
+/// Places among them that answers leave to acknowledgements, of which a broker waits for fewer.
+const ACKNOWLEDGEMENTS: usize = 1024;
+
+/// Messages that are taken before acknowledgements and answers are written. The packets of a read do not end a turn.
+const TAKEN_IN_A_ROW: usize = 64;
 
 /// Packet id of the subscription, which is the first message of its connection.
 const SUBSCRIPTION_ID: u16 = 1;
 
 /// Takes the messages of a connection. It must not wait.
 pub(super) trait Receive: Send + Sync + 'static {
-    fn receive(self: &Arc<Self>, message: Publish, outgoing: &Outgoing);
+    fn receive(self: &Arc<Self>, message: Publish, outgoing: &OutgoingPackets);
 }
 
 /// Topics that a receiver subscribes to.
 #[derive(Debug, Clone)]
-pub(super) struct Subscription {
+pub(super) struct TopicSubscription {
     pub(super) topics: Vec<String>,
     /// Whether a message that was published as a retained one says so, also if it is not an old one.
     pub(super) shows_retained: bool,
@@ -43,12 +48,17 @@ pub(super) struct Subscription {
 
 /// Messages that are sent over a receiver's connection.
 #[derive(Debug, Clone)]
-pub(super) struct Outgoing(mpsc::Sender<Packet>);
+pub(super) struct OutgoingPackets(mpsc::Sender<Packet>);
 
-impl Outgoing {
+impl OutgoingPackets {
     /// Sends a message, unless too many wait.
-    pub(super) fn send(&self, packet: Packet) -> Result<(), MqttFailure> {
+    fn send(&self, packet: Packet) -> Result<(), MqttFailure> {
         self.0.try_send(packet).map_err(|_| MqttFailure::Flooded)
+    }
+
+    /// Sends an answer, unless it would take the place of an acknowledgement. Returns whether it is sent.
+    pub(super) fn answer(&self, answer: Publish) -> bool {
+        self.0.capacity() > ACKNOWLEDGEMENTS && self.0.try_send(Packet::Publish(answer)).is_ok()
     }
 
     #[cfg(test)]
@@ -58,17 +68,17 @@ impl Outgoing {
     }
 }
 
-pub(super) struct Receiver<R> {
-    pub(super) purpose: Purpose,
-    pub(super) subscription: Subscription,
+pub(super) struct MqttReceiver<R> {
+    pub(super) purpose: ConnectionPurpose,
+    pub(super) subscription: TopicSubscription,
     pub(super) receive: Arc<R>,
     pub(super) status: Arc<MqttStatus>,
     pub(super) metrics: InterfaceMetrics,
     pub(super) ending: CancellationToken,
 }
 
-impl<R: Receive> Serve for Receiver<R> {
-    fn purpose(&self) -> Purpose {
+impl<R: Receive> Serve for MqttReceiver<R> {
+    fn purpose(&self) -> ConnectionPurpose {
         self.purpose
     }
 
@@ -76,7 +86,7 @@ impl<R: Receive> Serve for Receiver<R> {
         let _connected = self.metrics.connected();
         let (sink, stream) = connection.stream.split();
         let (outgoing, queue) = mpsc::channel(MAX_OUTGOING);
-        let outgoing = Outgoing(outgoing);
+        let outgoing = OutgoingPackets(outgoing);
         outgoing.send(self.subscribe())?;
         tokio::select! {
             result = self.read(stream, &outgoing) => result,
@@ -87,7 +97,7 @@ impl<R: Receive> Serve for Receiver<R> {
     }
 }
 
-impl<R: Receive> Receiver<R> {
+impl<R: Receive> MqttReceiver<R> {
     fn subscribe(&self) -> Packet {
         let filter = |topic: &String| Filter {
             preserve_retain: self.subscription.shows_retained,
@@ -98,8 +108,9 @@ impl<R: Receive> Receiver<R> {
         Packet::Subscribe(Subscribe { pkid: SUBSCRIPTION_ID, filters, properties: None })
     }
 
-    async fn read(&self, mut stream: SplitStream<BrokerStream>, outgoing: &Outgoing) -> Result<(), MqttFailure> {
+    async fn read(&self, mut stream: SplitStream<BrokerStream>, outgoing: &OutgoingPackets) -> Result<(), MqttFailure> {
         let mut heard_at = Now::read().instant;
+        let mut in_a_row = 0;
         let mut pings = interval(PINGED_EVERY);
         pings.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
@@ -108,6 +119,11 @@ impl<R: Receive> Receiver<R> {
                 packet = stream.next() => {
                     heard_at = Now::read().instant;
                     self.take(received(packet)?, outgoing)?;
+                    in_a_row += 1;
+                    if in_a_row == TAKEN_IN_A_ROW {
+                        in_a_row = 0;
+                        tokio::task::yield_now().await;
+                    }
                 }
                 _ = pings.tick() => {
                     check(heard_at)?;
@@ -117,7 +133,7 @@ impl<R: Receive> Receiver<R> {
         }
     }
 
-    fn take(&self, packet: Packet, outgoing: &Outgoing) -> Result<(), MqttFailure> {
+    fn take(&self, packet: Packet, outgoing: &OutgoingPackets) -> Result<(), MqttFailure> {
         match packet {
             Packet::Publish(message) => {
                 let packet_id = (message.qos == QoS::AtLeastOnce).then_some(message.pkid);

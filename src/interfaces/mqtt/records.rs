@@ -8,7 +8,7 @@ use serde_json::json;
 use tokio::sync::broadcast;
 use tokio::sync::broadcast::error::RecvError;
 
-use super::position::{Chain, Position, Step};
+use super::position::{Position, PublishedList, RecordStep};
 use crate::journal::{
     Cursor, EventKind, EventStream, Filter, GripQuery, GripUpdate, Journal, Limit, Order, ReadError, Stored, StreamItem,
 };
@@ -20,14 +20,14 @@ const PAGE: u64 = 16;
 /// A record to publish.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct JournalRecord {
-    pub(super) chain: Chain,
+    pub(super) chain: PublishedList,
     pub(super) gripper: Option<Name>,
     /// Sequence number of the record.
     pub(super) seq: i64,
     /// The record as JSON, as over HTTP.
     pub(super) body: Arc<str>,
-    /// Step that the publication completes; `None` for the repetition of a grip record whose part was lost.
-    pub(super) step: Option<Step>,
+    /// RecordStep that the publication completes; `None` for the repetition of a grip record whose part was lost.
+    pub(super) step: Option<RecordStep>,
 }
 
 /// Reason why a record cannot be published.
@@ -97,14 +97,14 @@ impl Records {
                 item = next_grip(&mut self.grips) => match item? {
                     Some(GripItem::Record(body)) => self.next.push_back(of_grip(&body)?),
                     Some(GripItem::Removed { after, missed }) => {
-                        self.next.push_back(self.gap(Chain::Grips, after, missed));
+                        self.next.push_back(self.gap(PublishedList::Grips, after, missed));
                     }
                     None => return Ok(None),
                 },
                 item = next_event(&mut self.events) => match item? {
                     Some(StreamItem::Event(event)) => self.held = Some(event),
                     Some(StreamItem::Removed { after, missed }) => {
-                        self.next.push_back(self.gap(Chain::Events, after, missed));
+                        self.next.push_back(self.gap(PublishedList::Events, after, missed));
                     }
                     None => return Ok(None),
                 },
@@ -122,10 +122,10 @@ impl Records {
     }
 
     /// Returns the notice of removed records.
-    fn gap(&self, chain: Chain, after: i64, missed: i64) -> JournalRecord {
+    fn gap(&self, chain: PublishedList, after: i64, missed: i64) -> JournalRecord {
         let seq = after + missed;
         let body = json!({"kind": "gap", "gateway": self.gateway, "seq": after, "missed": missed});
-        let step = Some(Step { chain, seq });
+        let step = Some(RecordStep { chain, seq });
         JournalRecord { chain, gripper: None, seq: after, body: body.to_string().into(), step }
     }
 }
@@ -140,9 +140,9 @@ fn has_lost_part(event: &Stored) -> bool {
 }
 
 fn of_event(event: &Stored) -> JournalRecord {
-    let step = Some(Step { chain: Chain::Events, seq: event.seq });
+    let step = Some(RecordStep { chain: PublishedList::Events, seq: event.seq });
     JournalRecord {
-        chain: Chain::Events,
+        chain: PublishedList::Events,
         gripper: event.gripper.clone(),
         seq: event.seq,
         body: event.body.clone(),
@@ -152,8 +152,8 @@ fn of_event(event: &Stored) -> JournalRecord {
 
 fn of_grip(body: &Arc<str>) -> Result<JournalRecord, RecordError> {
     let GripParts { seq, gripper } = parts(body)?;
-    let step = Some(Step { chain: Chain::Grips, seq });
-    Ok(JournalRecord { chain: Chain::Grips, gripper: Some(gripper), seq, body: body.clone(), step })
+    let step = Some(RecordStep { chain: PublishedList::Grips, seq });
+    Ok(JournalRecord { chain: PublishedList::Grips, gripper: Some(gripper), seq, body: body.clone(), step })
 }
 
 #[derive(Deserialize)]

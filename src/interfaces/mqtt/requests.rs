@@ -11,10 +11,10 @@ use serde_json::{Map, Value};
 use tokio::runtime::Handle;
 use tokio::sync::Semaphore;
 
-use super::fast_stop::{FastStops, retained};
-use super::message::{Reply, ReplyTo, client, property};
+use super::fast_stop::{MqttFastStops, retained};
+use super::message::{MqttReply, ReplyTo, client, property};
 use super::publisher::JSON;
-use super::receiver::{Outgoing, Receive};
+use super::receiver::{OutgoingPackets, Receive};
 use super::settings::MqttSettings;
 use super::topics::Topics;
 use crate::access::{Identity, Role};
@@ -47,7 +47,7 @@ pub(super) struct Requests {
     metrics: InterfaceMetrics,
     topics: Topics,
     role: Role,
-    fast_stops: Arc<FastStops>,
+    fast_stops: Arc<MqttFastStops>,
     slots: Arc<Semaphore>,
     stop_slots: Arc<Semaphore>,
 }
@@ -65,7 +65,7 @@ impl Requests {
         runtime: Handle,
         metrics: InterfaceMetrics,
         settings: &MqttSettings,
-        fast_stops: Arc<FastStops>,
+        fast_stops: Arc<MqttFastStops>,
     ) -> Self {
         Self {
             gateway,
@@ -93,7 +93,12 @@ impl Requests {
             let detail = format!("the payload has {bytes} bytes; at most {MAX_BODY_BYTES} are allowed");
             return Err(Problem::new(Code::TooLarge, detail));
         }
-        let mut params = json::object(&message.payload)?;
+        let mut params = match json::object(&message.payload) {
+            Ok(params) => params,
+            // A mistake must not keep fingers moving.
+            Err(_) if method.shared().ignores_mistakes => Map::new(),
+            Err(problem) => return Err(problem),
+        };
         if let Some(gripper) = topic.gripper {
             let other = params.insert(GRIPPER.to_owned(), gripper.into());
             if other.is_some_and(|other| !other.is_null() && other != gripper) {
@@ -120,7 +125,7 @@ impl Requests {
     async fn run(&self, request: ParsedRequest) -> Result<OperationReply, Problem> {
         let ParsedRequest { method, params, caller } = request;
         let result = operations::call(&self.gateway, caller, method, Value::Object(params)).await;
-        self.metrics.answered(Some(method.name()), "PUBLISH", Reply::of(&result).status);
+        self.metrics.answered(Some(method.name()), "PUBLISH", MqttReply::of(&result).status);
         result
     }
 
@@ -143,7 +148,7 @@ impl Requests {
             let detail = format!("too many MQTT requests ({MAX_REQUESTS} in progress): wait for their answers");
             let problem = Problem::new(Code::Overloaded, detail);
             self.metrics.answered(None, "PUBLISH", problem.status().as_u16());
-            return reply_to.send(&Reply::refusing(&problem), JSON);
+            return reply_to.send(&MqttReply::refusing(&problem), JSON);
         };
         let requests = self.clone();
         let client = client(message);
@@ -159,14 +164,14 @@ impl Requests {
             if let Err(problem) = &result {
                 tracing::debug!(topic, detail = problem.detail(), "MQTT request refused");
             }
-            reply_to.send(&Reply::of(&result), JSON);
+            reply_to.send(&MqttReply::of(&result), JSON);
             drop(slot);
         });
     }
 }
 
 impl Receive for Requests {
-    fn receive(self: &Arc<Self>, message: Publish, outgoing: &Outgoing) {
+    fn receive(self: &Arc<Self>, message: Publish, outgoing: &OutgoingPackets) {
         if message.retain && message.payload.is_empty() {
             // A retained message was deleted.
             return;

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use tokio::sync::watch;
 
-use super::connection::Purpose;
+use super::connection::ConnectionPurpose;
 use super::failure::MqttFailure;
 use super::metrics::MqttMetrics;
 use crate::alarms::BrokerOutage;
@@ -24,7 +24,7 @@ pub(super) struct MqttStatus {
     pub(super) metrics: MqttMetrics,
     outage: watch::Sender<Option<BrokerOutage>>,
     /// Failures of each connection since it was up.
-    failures: Mutex<BTreeMap<Purpose, Failures>>,
+    failures: Mutex<BTreeMap<ConnectionPurpose, Failures>>,
 }
 
 #[derive(Debug, Clone)]
@@ -40,7 +40,7 @@ impl MqttStatus {
     }
 
     /// Notes that a connection works.
-    pub(super) fn connected(&self, purpose: Purpose) {
+    pub(super) fn connected(&self, purpose: ConnectionPurpose) {
         self.metrics.connected(purpose, true);
         let failures = self.change(|failures| failures.remove(&purpose));
         let broker = &*self.broker;
@@ -49,7 +49,7 @@ impl MqttStatus {
     }
 
     /// Notes a failure, and returns the pause before the next attempt.
-    pub(super) fn failed(&self, purpose: Purpose, failure: &MqttFailure) -> Duration {
+    pub(super) fn failed(&self, purpose: ConnectionPurpose, failure: &MqttFailure) -> Duration {
         self.metrics.connected(purpose, false);
         self.metrics.failed(purpose);
         let error = failure.to_string();
@@ -72,7 +72,7 @@ impl MqttStatus {
     }
 
     /// Changes the failures, and shows the longest outage to the alarms.
-    fn change<T>(&self, change: impl FnOnce(&mut BTreeMap<Purpose, Failures>) -> T) -> T {
+    fn change<T>(&self, change: impl FnOnce(&mut BTreeMap<ConnectionPurpose, Failures>) -> T) -> T {
         let mut failures = self.failures.lock().unwrap_or_else(PoisonError::into_inner);
         let result = change(&mut failures);
         let longest = failures.values().map(|failures| &failures.outage).min_by_key(|outage| outage.since);

@@ -3,19 +3,23 @@
 use std::future::Future;
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
+use std::time::Duration;
 
 use futures_util::FutureExt as _;
 use tokio::time::sleep;
 use tokio_util::sync::CancellationToken;
 
-use super::connection::{BrokerConnection, Purpose};
+use super::connection::{BrokerConnection, ConnectionPurpose};
 use super::failure::MqttFailure;
 use super::settings::MqttSettings;
 use super::status::MqttStatus;
 
+/// Time for the work to end, whatever the broker takes.
+const ENDED_WITHIN: Duration = Duration::from_secs(3);
+
 /// Work of one connection.
 pub(super) trait Serve: Send {
-    fn purpose(&self) -> Purpose;
+    fn purpose(&self) -> ConnectionPurpose;
 
     /// Uses a connection until it fails, or until the work ends.
     fn serve(&mut self, connection: BrokerConnection) -> impl Future<Output = Result<(), MqttFailure>> + Send;
@@ -51,5 +55,12 @@ async fn attempt(
         connection = BrokerConnection::open(settings, work.purpose()) => connection?,
         () = ending.cancelled() => return Ok(()),
     };
-    work.serve(connection).await
+    let too_late = async {
+        ending.cancelled().await;
+        sleep(ENDED_WITHIN).await;
+    };
+    tokio::select! {
+        result = work.serve(connection) => result,
+        () = too_late => Ok(()),
+    }
 }

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use rumqttc::v5::mqttbytes::v5::{PubAck, PubAckReason};
 
 use super::failure::MqttFailure;
-use super::position::{Position, Step};
+use super::position::{Position, RecordStep};
 
 /// Largest number of records that wait for their PUBACK. It hides the time that a broker takes for one.
 const MAX_RECORDS: usize = 32;
@@ -31,7 +31,7 @@ struct InFlight {
     sent_at: Instant,
     is_acknowledged: bool,
     /// Step through the journal that the acknowledgement completes.
-    step: Option<Step>,
+    step: Option<RecordStep>,
 }
 
 impl Window {
@@ -56,7 +56,7 @@ impl Window {
     }
 
     /// Takes a message in, and returns its packet id.
-    pub(super) fn add(&mut self, topic: &str, step: Option<Step>, now: Instant) -> u16 {
+    pub(super) fn add(&mut self, topic: &str, step: Option<RecordStep>, now: Instant) -> u16 {
         // Ids in use are at most `max + MAX_OTHERS` behind, so none is used twice.
         self.last_id = self.last_id.checked_add(1).unwrap_or(1);
         self.waiting.push_back(InFlight {
@@ -98,7 +98,7 @@ impl Window {
 
 #[cfg(test)]
 mod tests {
-    use super::super::position::Chain;
+    use super::super::position::PublishedList;
     use super::*;
 
     fn acknowledge(window: &mut Window, packet_id: u16, position: &mut Position) -> Result<(), MqttFailure> {
@@ -110,9 +110,9 @@ mod tests {
         let now = Instant::now();
         let mut window = Window::new(100);
         let mut position = Position { events: 7, grips: 3 };
-        let first = window.add("events", Some(Step { chain: Chain::Events, seq: 8 }), now);
+        let first = window.add("events", Some(RecordStep { chain: PublishedList::Events, seq: 8 }), now);
         let state = window.add("alarms", None, now);
-        let grip = window.add("grips", Some(Step { chain: Chain::Grips, seq: 4 }), now);
+        let grip = window.add("grips", Some(RecordStep { chain: PublishedList::Grips, seq: 4 }), now);
         acknowledge(&mut window, grip, &mut position).unwrap();
         acknowledge(&mut window, state, &mut position).unwrap();
         assert_eq!(position, Position { events: 7, grips: 3 });
@@ -125,7 +125,7 @@ mod tests {
     fn refused_record_is_not_delivered() {
         let mut window = Window::new(100);
         let mut position = Position::default();
-        let id = window.add("a/events", Some(Step { chain: Chain::Events, seq: 1 }), Instant::now());
+        let id = window.add("a/events", Some(RecordStep { chain: PublishedList::Events, seq: 1 }), Instant::now());
         let refusal = PubAck { reason: PubAckReason::NotAuthorized, ..PubAck::new(id, None) };
         let error = window.acknowledge(&refusal, &mut position).unwrap_err().to_string();
         assert!(error.contains("a/events") && error.contains("NotAuthorized"), "{error}");

@@ -10,7 +10,7 @@ use rumqttc::v5::mqttbytes::v5::{
     Codec, ConnAck, ConnectReturnCode, LastWill, Login, Packet, PingResp, PubAck, PubAckReason, Publish,
     PublishProperties, SubAck, SubscribeReasonCode,
 };
-use rumqttc::v5::mqttbytes::{QoS, matches};
+use rumqttc::v5::mqttbytes::{self, QoS, matches};
 use serde_json::Value;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::TcpListener;
@@ -213,6 +213,24 @@ impl Broker {
         }
     }
 
+    /// Forgets the messages to topics that match a filter, except those with correlation data.
+    pub fn forget(&self, filter: &str) {
+        let mut state = self.state.lock().unwrap();
+        state.got.retain(|got| !matches(&got.topic, filter) || got.properties.correlation_data.is_some());
+    }
+
+    /// Publishes a request many times, with QoS 0.
+    pub fn flood(&self, topic: &str, payload: &str, count: usize) {
+        let properties = PublishProperties { response_topic: Some(ANSWERS.to_owned()), ..PublishProperties::default() };
+        let message = Publish::new(topic, QoS::AtMostOnce, payload.to_owned(), Some(properties));
+        let state = self.state.lock().unwrap();
+        for (_, subscriber) in state.subscribers.iter().filter(|(filter, _)| matches(topic, filter)) {
+            for _ in 0..count {
+                let _ = subscriber.try_send(Packet::Publish(message.clone()));
+            }
+        }
+    }
+
     /// Publishes a request, and returns the answer to it.
     pub async fn ask(&self, topic: &str, payload: &str) -> Got {
         let correlation = uuid::Uuid::now_v7().to_string();
@@ -256,7 +274,8 @@ async fn serve(stream: impl AsyncRead + AsyncWrite + Unpin, state: Arc<Mutex<Sta
                 Some(Packet::SubAck(SubAck { pkid: subscribe.pkid, return_codes: granted.collect(), properties: None }))
             }
             Some(Ok(Packet::PingReq(_))) => Some(Packet::PingResp(PingResp)),
-            Some(Ok(Packet::Disconnect(_))) => return,
+            // The codec takes a DISCONNECT without a reason for an error.
+            Some(Ok(Packet::Disconnect(_)) | Err(mqttbytes::Error::PayloadRequired)) => return,
             Some(Ok(_)) => None,
             Some(Err(_)) | None => break,
         };

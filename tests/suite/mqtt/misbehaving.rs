@@ -17,7 +17,7 @@ use crate::harness::{Directory, Gateway, eventually, shortest};
 const STOPPED_WITHIN: Duration = Duration::from_millis(200);
 
 async fn stops_at_once(gateway: &Gateway) {
-    gateway.post("move", &json!({"width_mm": 50})).await.outcome("SUCCESS");
+    gateway.post("move", &json!({"width_mm": 50, "speed_mm_s": 200})).await.outcome("SUCCESS");
     let took = shortest(STOPPED_WITHIN, async || {
         let begin = Instant::now();
         let stop = gateway.post("fast-stop", &json!({})).await.ok();
@@ -49,7 +49,7 @@ async fn broker_without_acknowledgements_keeps_few_records_waiting() {
     let gateway = homed(&broker, &[], "").await;
     stops_at_once(&gateway).await;
     for width in 30..50 {
-        gateway.post("move", &json!({"width_mm": width})).await.outcome("SUCCESS");
+        gateway.post("move", &json!({"width_mm": width, "speed_mm_s": 200})).await.outcome("SUCCESS");
     }
     let newest = gateway.events("kind=command", 1).await[0]["seq"].as_f64().unwrap();
     assert!(newest > 50.0);

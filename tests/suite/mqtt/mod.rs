@@ -1,5 +1,6 @@
 //! MQTT of a real gateway.
 
+#[allow(dead_code, reason = "parts used only by attacks")]
 mod broker;
 mod misbehaving;
 mod publications;

@@ -45,7 +45,7 @@ async fn state_is_retained_and_null_while_the_link_is_lost() {
     assert_eq!(state.property("schema"), Some("GripperState"));
     assert_eq!(state.json()["gripper"], "g");
     let telemetry = broker.until("plant/cell/g/telemetry", |_| true).await;
-    assert!(!telemetry.is_retained && telemetry.json()["width_mm"].is_number());
+    assert!(!telemetry.is_retained && telemetry.json()["force_n"].is_number(), "{telemetry:?}");
 
     gateway.post("home", &json!({})).await.outcome("SUCCESS");
     broker.until("plant/cell/g/state", |state| state.text != "null" && state.json()["last_outcome"] == "SUCCESS").await;
@@ -86,7 +86,7 @@ async fn availability_has_a_last_will() {
 async fn records_are_those_of_the_journal() {
     let broker = Broker::start().await;
     let gateway = homed(&broker, &[], "").await;
-    gateway.post("grip", &json!({"width_mm": 20, "part_id": "housing-7"})).await.ok();
+    gateway.post("grip", &json!({"width_mm": 20, "speed_mm_s": 200, "part_id": "housing-7"})).await.ok();
     let grip = broker.until(GRIPS, |record| record.json()["kind"] == "grip").await;
     assert_eq!((grip.qos, grip.is_retained), (QoS::AtLeastOnce, false));
     let journal_id = gateway.get("/api/v1/grips").await.ok()["journal_id"].clone();
@@ -117,7 +117,7 @@ async fn nothing_is_lost_over_outages_and_restarts() {
             // The broker takes records, and is gone before it acknowledges them.
             0 => {
                 broker.set(Mood::Unacknowledging);
-                gateway.post("move", &json!({"width_mm": 60})).await.outcome("SUCCESS");
+                gateway.post("move", &json!({"width_mm": 60, "speed_mm_s": 200})).await.outcome("SUCCESS");
                 broker.cut();
                 broker.set(Mood::Normal);
             }
@@ -125,16 +125,16 @@ async fn nothing_is_lost_over_outages_and_restarts() {
             1 => {
                 broker.set(Mood::Closed);
                 broker.cut();
-                gateway.post("move", &json!({"width_mm": 50})).await.outcome("SUCCESS");
+                gateway.post("move", &json!({"width_mm": 50, "speed_mm_s": 200})).await.outcome("SUCCESS");
                 broker.set(Mood::Normal);
             }
             _ => {
-                gateway.post("move", &json!({"width_mm": 40})).await.outcome("SUCCESS");
+                gateway.post("move", &json!({"width_mm": 40, "speed_mm_s": 200})).await.outcome("SUCCESS");
                 gateway.kill().await;
                 gateway = homed(&broker, &arguments, "").await;
             }
         }
-        gateway.post("move", &json!({"width_mm": 30 + round})).await.outcome("SUCCESS");
+        gateway.post("move", &json!({"width_mm": 30 + round, "speed_mm_s": 200})).await.outcome("SUCCESS");
     }
     for (list, filter) in [("grips", "plant/cell/+/grips"), ("events", "plant/cell/#")] {
         let records: BTreeMap<i64, Value> = eventually(list, async || {
@@ -170,7 +170,7 @@ async fn lost_part_repeats_its_grip_record() {
     gateway.until_link("connected").await;
     gateway.post("home", &json!({})).await.outcome("SUCCESS");
     changed(&control, &json!({"place_part": {"width_mm": 20}})).await;
-    gateway.post("grip", &json!({"width_mm": 20})).await.outcome("SUCCESS");
+    gateway.post("grip", &json!({"width_mm": 20, "speed_mm_s": 200})).await.outcome("PART_HELD");
     let before = broker.until(GRIPS, |grip| grip.json()["kind"] == "grip").await.json();
     assert_eq!(before["part_lost_at"], Value::Null);
     changed(&control, &json!("take_part")).await;
@@ -184,7 +184,7 @@ async fn long_outage_is_made_up_for_at_a_bounded_rate_while_states_stay_live() {
     broker.set(Mood::Closed);
     let gateway = homed(&broker, &[], "max_records_per_s = 20\nstate_interval_ms = 20").await;
     for width in [60, 50, 40, 30] {
-        gateway.post("move", &json!({"width_mm": width})).await.outcome("SUCCESS");
+        gateway.post("move", &json!({"width_mm": width, "speed_mm_s": 200})).await.outcome("SUCCESS");
     }
     let begin = tokio::time::Instant::now();
     broker.set(Mood::Normal);
