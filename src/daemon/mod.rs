@@ -31,7 +31,7 @@ use tokio_util::sync::CancellationToken;
 use url::Url;
 
 use crate::access::Access;
-use crate::alarms::{AlarmSources, Alarms};
+use crate::alarms::{AlarmSources, Alarms, BrokerOutage};
 use crate::config::{self, Config, ConfigError, DeviceSource, Flags};
 use crate::events::LiveUpdates;
 use crate::fleet::Peers;
@@ -168,7 +168,11 @@ struct RunningGateway {
     mqtt: Arc<MqttRunner>,
     audit: Arc<Audit>,
     journal: Journal,
-    /// Ends the reloads, the links to the grippers, and everything else, in this order.
+    endings: Endings,
+}
+
+/// Ends the reloads, the links to the grippers, and everything else, in this order.
+struct Endings {
     stopping: CancellationToken,
     draining: CancellationToken,
     shutdown: CancellationToken,
@@ -179,14 +183,14 @@ impl RunningGateway {
     async fn end(self) -> anyhow::Result<()> {
         // A reload under way is finished first, so that no gripper is left behind. If it has failed, the others still
         // have to be drained.
-        self.stopping.cancel();
+        self.endings.stopping.cancel();
         let mut reloader = self.reloading.await;
         let announcement = reloader.as_mut().ok().and_then(|reloader| reloader.announcement.take());
         let withdrawn = announcement.map(|announcement| tokio::spawn(announcement.withdraw()));
         tracing::info!("shutting down: draining grippers");
-        self.draining.cancel();
+        self.endings.draining.cancel();
         self.grippers.drain().await;
-        self.shutdown.cancel();
+        self.endings.shutdown.cancel();
         // Drops the listener, so that new clients are refused at once.
         let (ports, modbus, failure) = match reloader.map(|Reloader { ports, modbus, .. }| (ports, modbus)) {
             Ok((ports, modbus)) => (Some(ports), modbus, None),
@@ -287,14 +291,7 @@ async fn start(
         settings: settings.clone(),
         refused_sockets: Arc::default(),
     });
-    let mqtt = Arc::new(MqttRunner::new(MqttContext {
-        gateway: context.gateway.clone(),
-        runtimes: clients.clone(),
-        registry: context.registry.clone(),
-        closing: shutdown.clone(),
-        outage,
-    }));
-    mqtt.apply(config.mqtt.clone(), &recovered.memory).await?;
+    let mqtt = start_mqtt(&config, &recovered, &context, shutdown.clone(), outage).await?;
     let on_zenoh = config.zenoh.as_ref().map(|zenoh| zenoh_settings(zenoh, &context)).transpose()?;
     tracing::info!(limit = shares.limit, http = shares.http, wsg_port = shares.wsg_port, "connection limits set");
     let limits = http::ServerLimits::within(Bounds::of(shares.http));
@@ -307,14 +304,7 @@ async fn start(
         None => None,
     };
     let zenoh = on_zenoh.map(|(settings, context)| serve_zenoh(settings, context));
-    let port_context = PortContext {
-        devices: runtimes.devices.handle().clone(),
-        audit: audit.clone(),
-        access: access.clone(),
-        metrics: port_metrics,
-        draining: draining.clone(),
-        closing: shutdown.clone(),
-    };
+    let port_context = port_context(&context, runtimes.devices.handle(), port_metrics, draining.clone());
     let announcement = Announcement::of(&config, address);
     let reloader = Reloader {
         flags: flags.clone(),
@@ -335,19 +325,42 @@ async fn start(
     };
     let stopping = CancellationToken::new();
     let reloading = tokio::spawn(reloader.run(reload_requests, hang_up, stopping.clone()));
-    Ok(RunningGateway {
-        reloading,
-        server,
-        zenoh,
-        grippers,
-        webhooks,
-        mqtt,
-        audit,
-        journal,
-        stopping,
+    let endings = Endings { stopping, draining, shutdown };
+    Ok(RunningGateway { reloading, server, zenoh, grippers, webhooks, mqtt, audit, journal, endings })
+}
+
+fn port_context(
+    context: &http::HttpContext,
+    devices: &Handle,
+    metrics: interfaces::metrics::WsgPortMetrics,
+    draining: CancellationToken,
+) -> PortContext {
+    PortContext {
+        devices: devices.clone(),
+        audit: context.gateway.audit.clone(),
+        access: context.gateway.access.clone(),
+        metrics,
         draining,
-        shutdown,
-    })
+        closing: context.closing.clone(),
+    }
+}
+
+async fn start_mqtt(
+    config: &Config,
+    recovered: &Recovered,
+    context: &http::HttpContext,
+    closing: CancellationToken,
+    outage: watch::Sender<Option<BrokerOutage>>,
+) -> anyhow::Result<Arc<MqttRunner>> {
+    let mqtt = MqttRunner::new(MqttContext {
+        gateway: context.gateway.clone(),
+        runtimes: context.runtimes.clone(),
+        registry: context.registry.clone(),
+        closing,
+        outage,
+    });
+    mqtt.apply(config.mqtt.clone(), &recovered.memory).await?;
+    Ok(Arc::new(mqtt))
 }
 
 async fn start_webhooks(

@@ -201,7 +201,8 @@ impl Reloader {
             self.announcement = Announcement::of(&config, address);
         }
         self.webhooks.apply(webhooks, &recovered.memory).await?;
-        self.mqtt.apply(config.mqtt.clone(), &recovered.memory).await?;
+        // Its future is large, and a reload is rare.
+        Box::pin(self.mqtt.apply(config.mqtt.clone(), &recovered.memory)).await?;
         self.config = config;
         Ok(())
     }

@@ -194,27 +194,30 @@ def guide_subscriber(directory: Path, broker: Broker, prefix: str) -> Iterator[P
 
 def stored(database: Path, name: str) -> dict[int, dict]:
     """The records of a list that the subscriber has stored, by their numbers."""
-    with contextlib.closing(sqlite3.connect(f"file:{database}?mode=ro", uri=True)) as db:
+    with contextlib.closing(sqlite3.connect(f"file:{database}?mode=ro", uri=True, timeout=60)) as db:
         rows = db.execute("SELECT seq, body FROM records WHERE list = ?", [name]).fetchall()
     return {seq: json.loads(body) for seq, body in rows}
 
 
-def compare(gateway: Gateway, database: Path) -> dict[str, int]:
+def difference(table: dict[int, dict], journal: dict[int, dict]) -> str:
+    """Says how the table differs from the journal from its first record on; empty if they are equal."""
+    if not table:
+        return "the table is empty"
+    missing = [seq for seq in journal if seq >= min(table) and seq not in table]
+    if missing:
+        return f"{len(missing)} of {len(journal)} records are missing, from {missing[0]} to {missing[-1]}"
+    stored = {seq: {key: value for key, value in record.items() if key != "journal_id"} for seq, record in table.items()}
+    changed = [seq for seq, record in stored.items() if record != journal.get(seq)]
+    return f"{len(changed)} records differ, from {changed[0]}" if changed else ""
+
+
+def compare(gateway: Gateway, database: Path, within_s: float = 300) -> dict[str, int]:
     """Waits until the table equals the journal from its first record on, and returns the numbers of records."""
     counts = {}
     for name in ("events", "grips"):
-
-        def is_equal(name: str = name) -> int:
-            table = stored(database, name)
-            journal = gateway.records(name)
-            if not table or max(table) < max(journal):
-                return 0
-            expected = {seq: record for seq, record in journal.items() if seq >= min(table)}
-            found = {seq: {key: value for key, value in record.items() if key != "journal_id"} for seq, record in table.items()}
-            missing = sorted(expected.keys() - found.keys())
-            assert not missing, f"{name}: {len(missing)} missing, from {missing[:5]}"
-            # The last records can still change: parts are lost.
-            return len(found) if found == expected else 0
-
-        counts[name] = until(f"{name} of the journal", is_equal)
+        deadline = time.monotonic() + within_s
+        while why := difference(stored(database, name), gateway.records(name)):
+            assert time.monotonic() < deadline, f"{name}: {why}"
+            time.sleep(0.5)
+        counts[name] = len(stored(database, name))
     return counts

@@ -45,8 +45,7 @@ pub(super) struct MqttFastStops {
 
 #[derive(Default)]
 struct Lanes {
-    /// FAST STOPs under way, by gripper; `None` for those of all grippers.
-    under_way: BTreeMap<Option<Name>, UnderWay>,
+    under_way: BTreeMap<StopTarget, UnderWay>,
     /// Newest last.
     remembered: VecDeque<Remembered>,
 }
@@ -57,16 +56,23 @@ struct UnderWay {
     next: Option<FastStopRequest>,
 }
 
+/// The grippers that a FAST STOP stops.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+enum StopTarget {
+    All,
+    Gripper(Name),
+}
+
 struct FastStopRequest {
-    gripper: Option<Name>,
+    target: StopTarget,
     reason: Value,
     client: Client,
     reply_to: ReplyTo,
 }
 
-/// A FAST STOP that can be repeated: its gripper, its correlation data, and its result.
+/// A FAST STOP that can be repeated: its target, its correlation data, and its result.
 struct Remembered {
-    gripper: Option<Name>,
+    target: StopTarget,
     correlation: Bytes,
     /// `None` while it is under way.
     done: Option<(FastStopId, MqttReply)>,
@@ -96,9 +102,9 @@ impl MqttFastStops {
         let topic = String::from_utf8_lossy(&message.topic);
         let named = self.topics.request(&topic).and_then(|topic| topic.gripper?.parse::<Name>().ok());
         // Without a gripper of this name, all are stopped: the intended one is among them.
-        let gripper = named.filter(|name| self.gateway.grippers.get(name).is_some());
+        let known = named.filter(|name| self.gateway.grippers.get(name).is_some());
         let request = FastStopRequest {
-            gripper,
+            target: known.map_or(StopTarget::All, StopTarget::Gripper),
             reason: reason(&message.payload),
             client: client(message),
             reply_to: ReplyTo::of(message, &self.topics, outgoing),
@@ -109,7 +115,7 @@ impl MqttFastStops {
             Repetition::Latched(reply) => return request.reply_to.send(&reply, JSON),
             Repetition::New => {}
         }
-        let lane = lanes.under_way.entry(request.gripper.clone()).or_default();
+        let lane = lanes.under_way.entry(request.target.clone()).or_default();
         if lane.count >= MAX_UNDER_WAY {
             lane.next = Some(request);
             return;
@@ -121,34 +127,34 @@ impl MqttFastStops {
         self.runtime.spawn(async move {
             let mut next = Some(request);
             while let Some(request) = next {
-                let gripper = request.gripper.clone();
+                let target = request.target.clone();
                 stops.run(request).await;
-                next = stops.ended(&gripper);
+                next = stops.ended(&target);
             }
         });
     }
 
     async fn run(&self, request: FastStopRequest) {
-        let FastStopRequest { gripper, reason, client, reply_to } = request;
+        let FastStopRequest { target, reason, client, reply_to } = request;
         let identity = Identity { role: self.role, ..Identity::anyone() };
         let caller = Caller::new(client, Ok(identity));
         let mut params = Map::from_iter([("reason".to_owned(), reason)]);
-        params.extend(gripper.as_ref().map(|name| (GRIPPER.to_owned(), name.as_str().into())));
+        params.extend(target.gripper().map(|name| (GRIPPER.to_owned(), name.as_str().into())));
         let result =
             operations::call(&self.gateway, caller, Method::from(&fast_stop::ALL), Value::Object(params)).await;
         let reply = MqttReply::of(&result);
         self.metrics.answered(Some(FAST_STOP), "PUBLISH", reply.status);
-        tracing::info!(gripper = gripper.as_ref().map_or("all", Name::as_str), "FAST STOP via MQTT");
+        tracing::info!(gripper = target.gripper().map_or("all", Name::as_str), "FAST STOP via MQTT");
         reply_to.send(&reply, JSON);
         if let Some(correlation) = reply_to.correlation {
-            self.lock().note(&gripper, &correlation, &reply);
+            self.lock().note(&target, &correlation, &reply);
         }
     }
 
     /// Returns the FAST STOP that the calling task runs next; `None` ends the task.
-    fn ended(&self, gripper: &Option<Name>) -> Option<FastStopRequest> {
+    fn ended(&self, target: &StopTarget) -> Option<FastStopRequest> {
         let mut lanes = self.lock();
-        let lane = lanes.under_way.get_mut(gripper)?;
+        let lane = lanes.under_way.get_mut(target)?;
         let next = lane.next.take();
         if next.is_none() {
             lane.count -= 1;
@@ -188,15 +194,15 @@ impl Lanes {
     /// one is still there. If it was acknowledged meanwhile, the request stops again, since that is the safer mistake.
     fn repetition(&mut self, request: &FastStopRequest, grippers: &Grippers) -> Repetition {
         let Some(correlation) = &request.reply_to.correlation else { return Repetition::New };
-        let found = self.remembered.iter().position(|known| known.is(&request.gripper, correlation));
+        let found = self.remembered.iter().position(|known| known.is(&request.target, correlation));
         let Some(known) = found.and_then(|index| self.remembered.get(index)) else { return Repetition::New };
         match &known.done {
             None => Repetition::UnderWay,
-            Some((id, reply)) if is_latched(grippers, request.gripper.as_ref(), *id) => {
+            Some((id, reply)) if is_latched(grippers, request.target.gripper(), *id) => {
                 Repetition::Latched(reply.clone())
             }
             Some(_) => {
-                self.remembered.retain(|known| !known.is(&request.gripper, correlation));
+                self.remembered.retain(|known| !known.is(&request.target, correlation));
                 Repetition::New
             }
         }
@@ -207,15 +213,15 @@ impl Lanes {
         if self.remembered.len() >= MAX_REMEMBERED {
             self.remembered.pop_front();
         }
-        self.remembered.push_back(Remembered { gripper: request.gripper.clone(), correlation, done: None });
+        self.remembered.push_back(Remembered { target: request.target.clone(), correlation, done: None });
     }
 
-    fn note(&mut self, gripper: &Option<Name>, correlation: &Bytes, reply: &MqttReply) {
+    fn note(&mut self, target: &StopTarget, correlation: &Bytes, reply: &MqttReply) {
         #[derive(Deserialize)]
         struct Parts {
             fast_stop_id: FastStopId,
         }
-        let Some(index) = self.remembered.iter().position(|known| known.is(gripper, correlation)) else { return };
+        let Some(index) = self.remembered.iter().position(|known| known.is(target, correlation)) else { return };
         match serde_json::from_str::<Parts>(&reply.body) {
             Ok(Parts { fast_stop_id }) => {
                 if let Some(known) = self.remembered.get_mut(index) {
@@ -228,9 +234,18 @@ impl Lanes {
     }
 }
 
+impl StopTarget {
+    fn gripper(&self) -> Option<&Name> {
+        match self {
+            Self::All => None,
+            Self::Gripper(name) => Some(name),
+        }
+    }
+}
+
 impl Remembered {
-    fn is(&self, gripper: &Option<Name>, correlation: &Bytes) -> bool {
-        self.gripper == *gripper && self.correlation == *correlation
+    fn is(&self, target: &StopTarget, correlation: &Bytes) -> bool {
+        self.target == *target && self.correlation == *correlation
     }
 }
 

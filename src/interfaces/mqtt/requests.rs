@@ -16,7 +16,7 @@ use super::message::{MqttReply, ReplyTo, client, property};
 use super::publisher::JSON;
 use super::receiver::{OutgoingPackets, Receive};
 use super::settings::MqttSettings;
-use super::topics::Topics;
+use super::topics::{FAST_STOP, Topics};
 use crate::access::{Identity, Role};
 use crate::interfaces::metrics::InterfaceMetrics;
 use crate::model::{Client, Name, Urgency};
@@ -82,12 +82,9 @@ impl Requests {
     fn parse(&self, message: &Publish) -> Result<ParsedRequest, Problem> {
         let topic = std::str::from_utf8(&message.topic).unwrap_or_default();
         let topic = self.topics.request(topic).ok_or_else(|| Problem::not_found("such topic"))?;
-        let of_gripper = topic.gripper.is_some();
-        let mut here = offered().filter(|operation| operation.is_of_gripper() == of_gripper);
-        let method = match here.clone().find(|operation| operation.name == topic.name) {
-            Some(operation) => Method::from(operation),
-            None => return Err(no_such_request(topic.name, &mut here.by_ref().map(|operation| operation.name))),
-        };
+        let found = offered_for(topic.gripper.is_some()).find(|operation| operation.name == topic.name);
+        let Some(operation) = found else { return Err(no_such_request(topic.name, topic.gripper.is_some())) };
+        let method = Method::from(operation);
         if message.payload.len() > MAX_BODY_BYTES {
             let bytes = message.payload.len();
             let detail = format!("the payload has {bytes} bytes; at most {MAX_BODY_BYTES} are allowed");
@@ -184,17 +181,13 @@ impl Receive for Requests {
             );
             return self.start(Err(retained()), &message, reply_to);
         }
-        let parsed = self.parse(&message);
-        // A FAST STOP among the commands stops, whatever else is wrong with it.
-        match std::str::from_utf8(&message.topic).ok().and_then(|topic| self.topics.request(topic)) {
-            Some(topic) if is_fast_stop(topic.name) => self.fast_stops.begin(&message, outgoing),
-            _ => self.start(parsed, &message, reply_to),
+        let topic = String::from_utf8_lossy(&message.topic);
+        match self.topics.request(&topic) {
+            // A FAST STOP among the commands stops, whatever else is wrong with it.
+            Some(topic) if topic.name == FAST_STOP => self.fast_stops.begin(&message, outgoing),
+            _ => self.start(self.parse(&message), &message, reply_to),
         }
     }
-}
-
-fn is_fast_stop(name: &str) -> bool {
-    name == super::topics::FAST_STOP
 }
 
 /// Operations that MQTT clients can request.
@@ -202,13 +195,17 @@ pub(super) fn offered() -> impl Iterator<Item = &'static operations::Operation> 
     all().filter(|operation| !operation.name.starts_with(LEASE))
 }
 
-fn no_such_request(name: &str, names: &mut dyn Iterator<Item = &'static str>) -> Problem {
+/// Operations that MQTT clients can request of a gripper, or of the gateway itself.
+fn offered_for(gripper: bool) -> impl Iterator<Item = &'static operations::Operation> + Clone {
+    offered().filter(move |operation| operation.is_of_gripper() == gripper)
+}
+
+fn no_such_request(name: &str, of_gripper: bool) -> Problem {
     if name.starts_with(LEASE) {
         let detail = "leases cannot be taken over MQTT, because only the broker notices the loss of a client: take the \
                       lease over another interface";
         return Problem::new(Code::MethodNotAllowed, detail);
     }
-    let names: Vec<_> = names.collect();
-    let suggestion = did_you_mean(name, names.into_iter());
+    let suggestion = did_you_mean(name, offered_for(of_gripper).map(|operation| operation.name));
     Problem::not_found(format!("such command{suggestion}; the guide mqtt.md lists all topics"))
 }

@@ -7,10 +7,10 @@ use std::sync::Arc;
 use crate::model::Name;
 
 /// Level that separates requests from other topics.
-pub const COMMAND: &str = "command";
+pub(super) const COMMAND: &str = "command";
 
 /// Level of FAST STOPs.
-pub const FAST_STOP: &str = "fast-stop";
+pub(super) const FAST_STOP: &str = "fast-stop";
 
 /// Level below which answers can be published within the prefix.
 const RESPONSE: &str = "response";
@@ -29,9 +29,9 @@ pub struct Topics {
 
 /// The operation that a topic names, and the gripper, if there is one.
 #[derive(Debug, PartialEq, Eq)]
-pub struct RequestTopic<'a> {
-    pub gripper: Option<&'a str>,
-    pub name: &'a str,
+pub(super) struct RequestTopic<'a> {
+    pub(super) gripper: Option<&'a str>,
+    pub(super) name: &'a str,
 }
 
 /// Reason why a prefix is not valid.
@@ -67,32 +67,32 @@ impl fmt::Display for Topics {
 
 impl Topics {
     /// Topic of the gateway itself.
-    pub fn own(&self, what: &str) -> String {
+    pub(super) fn own(&self, what: &str) -> String {
         format!("{}/{what}", self.prefix)
     }
 
     /// Topic of a gripper.
-    pub fn gripper(&self, gripper: &Name, what: &str) -> String {
+    pub(super) fn gripper(&self, gripper: &Name, what: &str) -> String {
         format!("{}/{gripper}/{what}", self.prefix)
     }
 
     /// Topic of a gripper, or of the gateway itself.
-    pub fn of(&self, gripper: Option<&Name>, what: &str) -> String {
+    pub(super) fn of(&self, gripper: Option<&Name>, what: &str) -> String {
         gripper.map_or_else(|| self.own(what), |gripper| self.gripper(gripper, what))
     }
 
     /// Topic filters of all requests.
-    pub fn requests(&self) -> [String; 2] {
+    pub(super) fn requests(&self) -> [String; 2] {
         [self.own(&format!("{COMMAND}/+")), self.own(&format!("+/{COMMAND}/+"))]
     }
 
     /// Topic filters of all FAST STOPs.
-    pub fn fast_stops(&self) -> [String; 2] {
+    pub(super) fn fast_stops(&self) -> [String; 2] {
         [self.own(FAST_STOP), self.own(&format!("+/{FAST_STOP}"))]
     }
 
     /// Splits the topic of a request or of a FAST STOP.
-    pub fn request<'a>(&self, topic: &'a str) -> Option<RequestTopic<'a>> {
+    pub(super) fn request<'a>(&self, topic: &'a str) -> Option<RequestTopic<'a>> {
         let rest = topic.strip_prefix(&*self.prefix)?.strip_prefix('/')?;
         let levels: Vec<&str> = rest.split('/').collect();
         match levels[..] {
@@ -106,7 +106,7 @@ impl Topics {
 
     /// Whether an answer may be published to this topic. Within the prefix only topics of answers are allowed, since
     /// subscribers trust the others, and the gateway itself obeys some of them.
-    pub fn allows_response(&self, topic: &str) -> bool {
+    pub(super) fn allows_response(&self, topic: &str) -> bool {
         let is_topic = !topic.is_empty() && topic.len() <= MAX_RESPONSE_BYTES && !topic.contains(['+', '#', '\0']);
         let within = topic.strip_prefix(&*self.prefix).and_then(|rest| rest.strip_prefix('/'));
         is_topic && !topic.starts_with('$') && within.is_none_or(|rest| rest.split('/').next() == Some(RESPONSE))

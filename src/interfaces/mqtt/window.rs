@@ -11,8 +11,8 @@ use super::position::{Position, RecordStep};
 /// Largest number of records that wait for their PUBACK. It hides the time that a broker takes for one.
 const MAX_RECORDS: usize = 32;
 
-/// Number of other messages that wait at the same time: availability, description and alarms.
-pub(super) const MAX_OTHERS: usize = 4;
+/// Places for other messages: availability, description and alarms.
+const MAX_OTHERS: usize = 4;
 
 /// Time limit of a PUBACK.
 const ACKNOWLEDGED_WITHIN: Duration = Duration::from_secs(30);
@@ -21,6 +21,7 @@ const ACKNOWLEDGED_WITHIN: Duration = Duration::from_secs(30);
 pub(super) struct Window {
     waiting: VecDeque<InFlight>,
     last_id: u16,
+    max_records: usize,
     max: usize,
 }
 
@@ -37,18 +38,19 @@ struct InFlight {
 impl Window {
     /// Returns the window for a broker with this receive maximum.
     pub(super) fn new(receive_maximum: u16) -> Self {
-        let max = usize::from(receive_maximum).saturating_sub(MAX_OTHERS).clamp(1, MAX_RECORDS);
-        Self { waiting: VecDeque::new(), last_id: 0, max }
+        let max = usize::from(receive_maximum).clamp(1, MAX_RECORDS + MAX_OTHERS);
+        let max_records = max.saturating_sub(MAX_OTHERS).max(1);
+        Self { waiting: VecDeque::new(), last_id: 0, max_records, max }
     }
 
     /// Whether another record may be sent.
     pub(super) fn has_room_for_record(&self) -> bool {
-        self.waiting.len() < self.max
+        self.waiting.len() < self.max_records
     }
 
     /// Whether another message may be sent.
     pub(super) fn has_room(&self) -> bool {
-        self.waiting.len() < self.max + MAX_OTHERS
+        self.waiting.len() < self.max
     }
 
     pub(super) fn is_empty(&self) -> bool {
@@ -57,7 +59,7 @@ impl Window {
 
     /// Takes a message in, and returns its packet id.
     pub(super) fn add(&mut self, topic: &str, step: Option<RecordStep>, now: Instant) -> u16 {
-        // Ids in use are at most `max + MAX_OTHERS` behind, so none is used twice.
+        // Ids in use are less than `max` behind, so none is used twice.
         self.last_id = self.last_id.checked_add(1).unwrap_or(1);
         self.waiting.push_back(InFlight {
             packet_id: self.last_id,
@@ -146,8 +148,11 @@ mod tests {
         assert_eq!(window.waiting.len(), 20);
         assert!(window.check(begin + ACKNOWLEDGED_WITHIN).is_ok());
         assert!(window.check(begin + ACKNOWLEDGED_WITHIN + Duration::from_millis(1)).is_err());
-        assert_eq!(Window::new(1).max, 1);
-        assert_eq!(Window::new(u16::MAX).max, MAX_RECORDS);
+        let sizes = [0, 1, 3, 5, 20, u16::MAX].map(|given| {
+            let window = Window::new(given);
+            (window.max_records, window.max)
+        });
+        assert_eq!(sizes, [(1, 1), (1, 1), (1, 3), (1, 5), (16, 20), (MAX_RECORDS, MAX_RECORDS + MAX_OTHERS)]);
     }
 
     #[test]

@@ -36,7 +36,7 @@ async fn silent_broker_delays_neither_motions_nor_fast_stops() {
     let gateway = homed(&broker, &[], "commands = true\nfast_stop = true").await;
     stops_at_once(&gateway).await;
     let connected = gateway.figures().await;
-    assert_eq!(connected["wsg_mqtt_connected{connection=\"fast_stops\"}"], 0.0);
+    assert!(connected["wsg_mqtt_connected{connection=\"fast_stops\"}"] < 1.0, "{connected:?}");
     let begin = Instant::now();
     assert!(gateway.terminate().await.status.success());
     assert!(begin.elapsed() < Duration::from_secs(5), "{:?}", begin.elapsed());

@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 
-use super::broker::{ANSWERS, Broker, Request};
+use super::broker::{ANSWERS, Broker, Got, Request};
 use super::homed;
 use crate::harness::eventually;
 
@@ -155,7 +155,7 @@ async fn fast_stop_works_with_commands_off_and_a_repetition_stops_once() {
     // After the acknowledgement, the same message stops again.
     gateway.post("acknowledge", &json!({"fast_stop_id": first["fast_stop_id"]})).await.ok();
     broker.send(&request);
-    let third = eventually("a third answer", async || broker.all(ANSWERS).get(2).map(|answer| answer.json())).await;
+    let third = eventually("a third answer", async || broker.all(ANSWERS).get(2).map(Got::json)).await;
     assert_ne!(third["fast_stop_id"], first["fast_stop_id"]);
     assert_eq!(gateway.get("state").await.ok()["fast_stop_id"], third["fast_stop_id"]);
 }
