@@ -6,7 +6,6 @@ from __future__ import annotations
 import asyncio
 import json
 import subprocess
-import tempfile
 from pathlib import Path
 
 import aiomqtt
@@ -14,7 +13,7 @@ import paho.mqtt.client as mqtt
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
-from rig import Broker, Gateway, compare, guide_subscriber, until
+from rig import Broker, Gateway, compare, guide_subscriber, temporary_directory, until
 
 PREFIX = "wsg/cell"
 
@@ -42,8 +41,10 @@ def with_paho(broker: Broker, gateway: Gateway) -> None:
     answer = until("the answer", lambda: got.get("answers/paho"))
     assert answer.properties.CorrelationData == b"stop-1"
     stop = json.loads(answer.payload)
-    assert stop["fast_stop_confirmed"] and set(stop["confirmed"]) == set(gateway.names), stop
+    assert {*stop["confirmed"], *stop["unconfirmed"]} == set(gateway.names), stop
     for name in gateway.names:
+        state = f"/api/v1/grippers/{name}/state"
+        until("the confirmation", lambda: gateway.get(state)["fast_stop_confirmed"])
         gateway.post(f"/grippers/{name}/acknowledge", {"fast_stop_id": stop["fast_stop_id"]})
     client.loop_stop()
     print("paho: retained messages and FAST STOP")
@@ -77,8 +78,7 @@ async def with_aiomqtt(broker: Broker) -> None:
 
 
 def main() -> None:
-    with tempfile.TemporaryDirectory() as name:
-        directory = Path(name)
+    with temporary_directory() as directory:
         broker = Broker(directory)
         gateway = Gateway(directory, broker, 2, "commands = true\nfast_stop = true")
         try:

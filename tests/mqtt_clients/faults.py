@@ -11,13 +11,11 @@ import os
 import socket
 import statistics
 import sys
-import tempfile
 import threading
 import time
-from pathlib import Path
 from typing import Callable
 
-from rig import Broker, Gateway, Load, until
+from rig import Broker, Gateway, Load, temporary_directory, until
 
 STOPPED = "g0"
 
@@ -73,8 +71,7 @@ def fast_stops(gateway: Gateway, seconds: float) -> list[float]:
 
 def main() -> None:
     seconds = float(sys.argv[1])
-    with tempfile.TemporaryDirectory() as name:
-        directory = Path(name)
+    with temporary_directory() as directory:
         broker = Broker(directory)
         gateway = Gateway(directory, broker, 5, "commands = true\nfast_stop = true\nstate_interval_ms = 20\ntelemetry_interval_ms = 20")
         until("all connections", lambda: gateway.metric("wsg_mqtt_connected") == 3)

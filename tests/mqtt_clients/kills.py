@@ -8,16 +8,14 @@ from __future__ import annotations
 import json
 import random
 import sys
-import tempfile
 import threading
 import time
-from pathlib import Path
 
 import paho.mqtt.client as mqtt
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
-from rig import Broker, Gateway, Load, compare, guide_subscriber, until
+from rig import Broker, Gateway, Load, compare, guide_subscriber, temporary_directory, until
 
 PREFIX = "wsg/cell"
 LISTS = ("events", "grips")
@@ -60,8 +58,7 @@ class Arrivals:
 
 def main() -> None:
     kills = int(sys.argv[1])
-    with tempfile.TemporaryDirectory() as name:
-        directory = Path(name)
+    with temporary_directory() as directory:
         broker = Broker(directory)
         gateway = Gateway(directory, broker, 4)
         try:

@@ -6,22 +6,19 @@ from __future__ import annotations
 import json
 import statistics
 import sys
-import tempfile
 import time
 from datetime import datetime
-from pathlib import Path
 
 import paho.mqtt.client as mqtt
 
-from rig import Broker, Gateway, Load, until
+from rig import Broker, Gateway, Load, temporary_directory, until
 
 PREFIX = "wsg/cell"
 
 
 def main() -> None:
     seconds, grippers = float(sys.argv[1]), int(sys.argv[2])
-    with tempfile.TemporaryDirectory() as name:
-        directory = Path(name)
+    with temporary_directory() as directory:
         broker = Broker(directory)
         gateway = Gateway(directory, broker, grippers)
         delays_ms: list[float] = []
