@@ -48,7 +48,7 @@ async fn state_is_retained_and_null_while_the_link_is_lost() {
     assert!(!telemetry.is_retained && telemetry.json()["force_n"].is_number(), "{telemetry:?}");
 
     gateway.post("home", &json!({})).await.outcome("SUCCESS");
-    broker.until("plant/cell/g/state", |state| state.text != "null" && state.json()["last_outcome"] == "SUCCESS").await;
+    broker.until("plant/cell/g/state", |state| state.text != "null" && state.json()["referenced"] == true).await;
     let before = broker.all("plant/cell/g/state").len();
     device.terminate().await;
     eventually("an unknown state", async || {

@@ -58,7 +58,7 @@ async fn refusals_are_problems() {
     let broker = Broker::start().await;
     let gateway = homed(&broker, &[], BOTH).await;
     broker.until_subscribed("plant/cell/g/command/grip").await;
-    let lease = gateway.post("lease/take", &json!({"holder": "robot"})).await;
+    let lease = gateway.post("lease", &json!({"holder": "robot", "ttl_ms": 60_000})).await;
     for (topic, payload, status, code) in [
         ("plant/cell/g/command/grip", "{\"width_mm\": 500, \"speed_mm_s\": 200}", "422", "out_of_range"),
         ("plant/cell/g/command/grip", "{\"width_mm\": 20", "400", "malformed"),
