@@ -8,7 +8,7 @@
 //! - [`gripper`]: one actor per gripper, the only owner of its state; everyone else has a [handle](gripper::Handle).
 //! - [`operations`]: everything that a client can request, defined once for all interfaces.
 //! - [`interfaces`]: [HTTP](interfaces::http), [WebSocket](interfaces::websocket), [Modbus TCP](interfaces::modbus),
-//!   [Zenoh](interfaces::zenoh), the [WSG port](interfaces::wsg_port), and the [dashboard](interfaces::dashboard) at `/`,
+//!   [MQTT](interfaces::mqtt), [Zenoh](interfaces::zenoh), the [WSG port](interfaces::wsg_port), and the [dashboard](interfaces::dashboard) at `/`,
 //!   which uses only the public WebSocket and REST.
 //! - [`connections`]: connections of clients, accepted, admitted and encrypted in one way for all interfaces.
 //! - [`access`]: roles and credentials, and their check.

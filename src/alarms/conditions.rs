@@ -11,7 +11,8 @@ use crate::model::{AlarmCause, AlarmKind, Fault, Link, Name, State};
 use crate::wear::{Wear, WearCondition};
 use crate::webhooks::{WebhookProgress, Webhooks};
 
-/// Time for which a webhook has to fail before it raises an alarm. A receiver that restarts needs nobody.
+/// Time for which a webhook or MQTT has to fail before it raises an alarm. A receiver or broker that restarts needs
+/// nobody.
 const FAILING_FOR: Duration = Duration::from_mins(1);
 
 /// Flags of the device that raise alarms.
@@ -27,6 +28,17 @@ const FLAGS: [(&str, AlarmKind); 6] = [
 /// Faults that `fault_code` shows while no more important one hides them.
 const FAULTS: [(Fault, AlarmKind); 2] =
     [(Fault::DeviceError, AlarmKind::DeviceError), (Fault::SettingsLost, AlarmKind::SettingsLost)];
+
+/// An outage of a connection to the MQTT broker.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct BrokerOutage {
+    /// Time of the first failure.
+    pub since: Instant,
+    /// URL of the broker.
+    pub broker: Arc<str>,
+    /// The newest failure, with its remedy.
+    pub cause: Arc<str>,
+}
 
 /// Returns a cause that is a text.
 pub(super) fn text(cause: &str) -> AlarmCause {
@@ -60,6 +72,14 @@ pub(super) fn of_webhooks(webhooks: &Webhooks, now: Instant, conditions: &mut Co
             let cause = last_error.unwrap_or_default();
             add_named(AlarmKind::WebhookFailing, &webhook.name().as_str().into(), &cause, conditions);
         }
+    }
+}
+
+/// Adds a broker that has been away for too long. Records wait in the journal.
+pub(super) fn of_broker(outage: Option<&BrokerOutage>, now: Instant, conditions: &mut Conditions) {
+    let Some(BrokerOutage { since, broker, cause }) = outage else { return };
+    if now.saturating_duration_since(*since) >= FAILING_FOR {
+        add_named(AlarmKind::MqttFailing, broker, cause, conditions);
     }
 }
 

@@ -31,7 +31,8 @@ use crate::model::{
 };
 use crate::wear::Wear;
 use crate::webhooks::Webhooks;
-use conditions::{of_credentials, of_gripper, of_wear, of_webhooks, text};
+pub use conditions::BrokerOutage;
+use conditions::{of_broker, of_credentials, of_gripper, of_wear, of_webhooks, text};
 use list::{AlarmChange, AlarmKey, AlarmList, Conditions};
 
 /// Interval at which conditions are checked. Faults last until a person acts, so none is missed.
@@ -58,6 +59,8 @@ pub struct AlarmSources {
     pub webhooks: Arc<Webhooks>,
     /// The credentials that expire.
     pub expiring: watch::Receiver<Vec<ExpiringCredential>>,
+    /// The longest outage of the MQTT broker that has not ended.
+    pub broker: watch::Receiver<Option<BrokerOutage>>,
 }
 
 /// The alarms that are active or not acknowledged.
@@ -136,7 +139,7 @@ impl Alarms {
 
     /// Follows the conditions until the gateway closes.
     pub async fn watch(self: Arc<Self>, sources: AlarmSources, closing: CancellationToken) {
-        let AlarmSources { grippers, peers, wear, webhooks, expiring } = sources;
+        let AlarmSources { grippers, peers, wear, webhooks, expiring, broker } = sources;
         let mut events = self.journal.subscribe();
         let started = Now::read().instant;
         let mut connecting = BTreeMap::new();
@@ -160,6 +163,7 @@ impl Alarms {
                     self.add_of_gateway(&peers, running_for, &mut conditions);
                     of_credentials(&expiring.borrow(), now.wall, &mut conditions);
                     of_webhooks(&webhooks, now.instant, &mut conditions);
+                    of_broker(broker.borrow().as_ref(), now.instant, &mut conditions);
                     self.look(now, &conditions);
                 }
             }

@@ -329,3 +329,16 @@ async fn webhook_that_fails_for_a_minute_is_a_condition() {
     let cause = conditions.into_values().next().flatten().unwrap().cause.unwrap();
     assert!(cause.starts_with("cannot connect to http://127.0.0.1:1: "), "{cause}");
 }
+
+#[test]
+fn broker_that_is_away_for_a_minute_is_a_condition() {
+    let since = Instant::now();
+    let broker: Arc<str> = "mqtt://broker".into();
+    let outage = BrokerOutage { since, broker: broker.clone(), cause: "cannot connect".into() };
+    let mut conditions = Conditions::new();
+    of_broker(None, since + Duration::from_hours(1), &mut conditions);
+    of_broker(Some(&outage), since + Duration::from_secs(59), &mut conditions);
+    assert!(conditions.is_empty());
+    of_broker(Some(&outage), since + Duration::from_mins(1), &mut conditions);
+    assert_eq!(named(&conditions), [(AlarmKind::MqttFailing, "mqtt://broker")]);
+}

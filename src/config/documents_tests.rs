@@ -5,6 +5,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use super::access::{AccessContent, ClientContent, TlsContent};
+use super::mqtt::MqttContent;
 use super::webhooks::WebhookContent;
 use super::zenoh::ZenohContent;
 use super::*;
@@ -34,7 +35,7 @@ const CLIENT_WITH_CERTIFICATE: &str = "
 ";
 
 /// The sections in the order of the example file, with their headings there.
-fn sections() -> [(&'static str, &'static str, Vec<DeclaredKey>); 7] {
+fn sections() -> [(&'static str, &'static str, Vec<DeclaredKey>); 8] {
     [
         ("access", "[access]", AccessContent::keys()),
         ("clients", "[[clients]]", ClientContent::keys()),
@@ -42,6 +43,7 @@ fn sections() -> [(&'static str, &'static str, Vec<DeclaredKey>); 7] {
         ("drift", "[drift]", DriftContent::keys()),
         ("zenoh", "[zenoh]", ZenohContent::keys()),
         ("webhooks", "[[webhooks]]", WebhookContent::keys()),
+        ("mqtt", "[mqtt]", MqttContent::keys()),
         ("grippers", "[grippers.left]", GripperContent::keys()),
     ]
 }
@@ -127,8 +129,11 @@ fn example_file() -> String {
 fn example_in_guide() -> String {
     let text = example_file().replace(CLIENT_WITH_CERTIFICATE, "").replace("/etc/wsg-gateway/", "");
     let text = text.replace("/var/lib/wsg-gateway/tokens", "tokens");
-    let names_a_file =
-        |line: &&str| ["config = ", "secret_file = ", "ca_file = "].iter().any(|key| line.starts_with(key));
+    let names_a_file = |line: &&str| {
+        let is_path = line.split(" = ").next().is_some_and(|key| key.ends_with("_file"));
+        // A user needs the file of the password.
+        is_path || line.starts_with("config = ") || line.starts_with("user = ")
+    };
     let lines = text.lines().filter_map(|line| line.strip_prefix('#')).filter(|line| !line.starts_with(' '));
     let lines = lines.filter(|line| !line.is_empty() && !names_a_file(line));
     lines.map(|line| if line.starts_with('[') { format!("\n{line}\n") } else { format!("{line}\n") }).collect()

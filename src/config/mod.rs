@@ -11,6 +11,7 @@ use toml::Spanned;
 
 use crate::connections::tls::TlsFiles;
 use crate::interfaces::http::WebSettings;
+use crate::interfaces::mqtt::MqttSettings;
 use crate::model::{GripperRules, Name, SharedRules};
 use crate::settings::{flag, named_sections, optional, required, section, sections, settings};
 use crate::transport::Address;
@@ -24,6 +25,7 @@ mod file;
 pub(crate) mod fuzz;
 mod journal;
 mod modbus;
+mod mqtt;
 mod named_files;
 mod webhooks;
 mod wsg_port;
@@ -106,6 +108,8 @@ pub struct Config {
     /// `None` if Zenoh is off.
     pub zenoh: Option<Zenoh>,
     pub webhooks: Vec<WebhookSettings>,
+    /// `None` if MQTT is off.
+    pub mqtt: Option<MqttSettings>,
     /// Settings that are valid but probably mistaken.
     pub warnings: Vec<ConfigError>,
 }
@@ -193,8 +197,11 @@ impl Config {
         }
         let grippers = grippers(flags, file, insecure)?;
         let drift = content.drift.clone().unwrap_or_default();
+        let mqtt = mqtt::settings(file, &name, &grippers)?;
+        let mut warnings = access::unknown_grippers(file, &grippers);
+        warnings.extend(mqtt::exposure(file, mqtt.as_ref()));
         let config = Self {
-            warnings: access::unknown_grippers(file, &grippers),
+            warnings,
             journal: JournalConfig::merge(flags, file, &name)?,
             name,
             listen: listen.value,
@@ -207,6 +214,7 @@ impl Config {
             modbus: Modbus::merge(flags, file, insecure || has_known_addresses(file))?,
             zenoh: Zenoh::merge(flags, file, insecure)?,
             webhooks: webhooks::settings(file)?,
+            mqtt,
         };
         wsg_port::check_reply_ports(&config)?;
         Ok(config)
@@ -361,6 +369,8 @@ settings! {
         zenoh: Option<zenoh::ZenohContent> = "zenoh", section(), Restart;
         /// A section for each receiver of events.
         webhooks: Vec<webhooks::WebhookContent> = "webhooks", sections(), Reload;
+        /// MQTT, which publishes states and records to a broker.
+        mqtt: Option<mqtt::MqttContent> = "mqtt", section(), Reload;
         group web: WebSettings;
         group modbus: modbus::ModbusContent;
         group journal: journal::JournalContent;

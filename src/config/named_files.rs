@@ -23,6 +23,10 @@ pub fn named_files(config: &Path) -> Result<Vec<PathBuf>, ConfigError> {
     for webhook in &content.webhooks {
         named.extend(webhook.secret_file.iter().chain(&webhook.ca_file).map(path));
     }
+    if let Some(mqtt) = &content.mqtt {
+        let own = [&mqtt.password_file, &mqtt.ca_file, &mqtt.certificate_file, &mqtt.key_file];
+        named.extend(own.into_iter().flatten().map(path));
+    }
     let mut files = vec![config.to_owned()];
     files.extend(named.into_iter().map(|named| file.beside(named)));
     files.extend(zenoh::named_files(&file)?);

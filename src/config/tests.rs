@@ -355,17 +355,21 @@ fn packaged_file_changes_no_default() {
 #[test]
 fn packaged_file_has_every_key_with_a_valid_value() {
     // Files that these keys name must exist, and a webhook has one secret.
-    let names_a_file =
-        |line: &&str| ["config = ", "secret_file = ", "ca_file = "].iter().any(|key| line.starts_with(key));
+    let names_a_file = |line: &&str| {
+        let is_path = line.split(" = ").next().is_some_and(|key| key.ends_with("_file"));
+        // A user needs the file of the password.
+        is_path || line.starts_with("config = ") || line.starts_with("user = ")
+    };
     let keys: Vec<_> =
         PACKAGED.lines().filter_map(|line| line.strip_prefix('#')).filter(|line| !line.starts_with(' ')).collect();
     let text: Vec<_> = keys.iter().copied().filter(|line| !names_a_file(line)).collect();
     let config = file(&text.join("\n")).unwrap();
     assert_eq!((config.grippers.len(), config.webhooks.len()), (1, 1));
-    let sections = ["drift", "zenoh", "webhooks", "grippers", "access", "clients", "tls"];
-    for section in
-        ["", "[drift]\n", "[zenoh]\n", "[[webhooks]]\n", "[grippers.left]\n", "[access]\n", "[[clients]]\n", "[tls]\n"]
+    let sections = ["drift", "zenoh", "webhooks", "mqtt", "grippers", "access", "clients", "tls"];
+    for heading in
+        ["", "[drift]", "[zenoh]", "[[webhooks]]", "[mqtt]", "[grippers.left]", "[access]", "[[clients]]", "[tls]"]
     {
+        let section = format!("{heading}\n");
         let error = file(&format!("{section}nonsense = 1")).unwrap_err().to_string();
         // The first quoted word is the wrong key.
         let quoted = error.split('`').enumerate().filter(|(index, _)| index % 2 == 1 && *index > 2);

@@ -78,7 +78,7 @@ pub(super) fn settings(file: &File) -> Result<Vec<WebhookSettings>, ConfigError>
 }
 
 /// Reads and parses a file that the configuration names.
-fn from_file<T, E: std::fmt::Display>(
+pub(super) fn from_file<T, E: std::fmt::Display>(
     file: &File,
     path: &Spanned<PathBuf>,
     parse: impl FnOnce(&[u8]) -> Result<T, E>,

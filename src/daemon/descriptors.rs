@@ -14,6 +14,9 @@ const OWN: usize = 34;
 /// A webhook: its connection, and that of a test.
 const OF_A_WEBHOOK: usize = 2;
 
+/// The connections of MQTT, each with the one that replaces it.
+const OF_MQTT: usize = 6;
+
 /// A gripper's link, and the link that replaces it. A simulated gripper has none.
 const OF_A_LINK: usize = 2;
 
@@ -108,7 +111,8 @@ fn needs(config: &Config) -> (usize, usize) {
     let links = config.grippers.iter().filter(|gripper| matches!(gripper.device, DeviceSource::At(_))).count();
     let mdns = if config.web.mdns { OF_MDNS } else { 0 };
     let modbus = if config.modbus.is_some() { OF_MODBUS } else { 0 };
-    (OWN + OF_A_LINK * links + OF_A_WEBHOOK * config.webhooks.len() + zenoh + mdns + modbus, ports)
+    let mqtt = if config.mqtt.is_some() { OF_MQTT } else { 0 };
+    (OWN + OF_A_LINK * links + OF_A_WEBHOOK * config.webhooks.len() + zenoh + mdns + modbus + mqtt, ports)
 }
 
 #[cfg(test)]

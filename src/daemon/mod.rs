@@ -31,13 +31,14 @@ use tokio_util::sync::CancellationToken;
 use url::Url;
 
 use crate::access::Access;
-use crate::alarms::{AlarmSources, Alarms};
+use crate::alarms::{AlarmSources, Alarms, BrokerOutage};
 use crate::config::{self, Config, ConfigError, DeviceSource, Flags};
 use crate::connections::{self, Bounds};
 use crate::events::LiveUpdates;
 use crate::fleet::Peers;
 use crate::gripper::recorder::{Record, Recorder as _};
 use crate::gripper::{Grippers, Now};
+use crate::interfaces::mqtt::{MqttContext, MqttRunner};
 use crate::interfaces::{self, http, zenoh};
 use crate::journal::{self, Journal, Recovered};
 use crate::model::{Detail, Event, GatewayEvent};
@@ -165,9 +166,14 @@ struct RunningGateway {
     zenoh: Option<JoinHandle<()>>,
     grippers: Grippers,
     webhooks: Arc<WebhookRunner>,
+    mqtt: Arc<MqttRunner>,
     audit: Arc<Audit>,
     journal: Journal,
-    /// Ends the reloads, the links to the grippers, and everything else, in this order.
+    endings: Endings,
+}
+
+/// Ends the reloads, the links to the grippers, and everything else, in this order.
+struct Endings {
     stopping: CancellationToken,
     draining: CancellationToken,
     shutdown: CancellationToken,
@@ -178,14 +184,14 @@ impl RunningGateway {
     async fn end(self) -> anyhow::Result<()> {
         // A reload under way is finished first, so that no gripper is left behind. If it has failed, the others still
         // have to be drained.
-        self.stopping.cancel();
+        self.endings.stopping.cancel();
         let mut reloader = self.reloading.await;
         let announcement = reloader.as_mut().ok().and_then(|reloader| reloader.announcement.take());
         let withdrawn = announcement.map(|announcement| tokio::spawn(announcement.withdraw()));
         tracing::info!("shutting down: draining grippers");
-        self.draining.cancel();
+        self.endings.draining.cancel();
         self.grippers.drain().await;
-        self.shutdown.cancel();
+        self.endings.shutdown.cancel();
         // Drops the listener, so that new clients are refused at once.
         let (ports, modbus, failure) = match reloader.map(|Reloader { ports, modbus, .. }| (ports, modbus)) {
             Ok((ports, modbus)) => (Some(ports), modbus, None),
@@ -196,6 +202,7 @@ impl RunningGateway {
             zenoh.await?;
         }
         self.webhooks.ended().await;
+        self.mqtt.ended().await;
         if let Some(ports) = ports {
             ports.ended().await?;
         }
@@ -247,6 +254,7 @@ async fn start(
     let expiring = watch_credentials(&access, &settings, &journal, &clients.observers, &registry, &shutdown)?;
     let wear = watch_wear(&config, &journal, &recovered, &clients.observers, &shutdown);
     let alarms = Arc::new(Alarms::new(config.name.clone(), journal.clone(), &recovered.memory));
+    let (outage, broker) = watch::channel(None);
     // The links that draining closes raise no alarms.
     let sources = AlarmSources {
         grippers: grippers.clone(),
@@ -254,6 +262,7 @@ async fn start(
         wear: wear.clone(),
         webhooks: webhooks.webhooks().clone(),
         expiring,
+        broker,
     };
     clients.observers.spawn(alarms.clone().watch(sources, draining.clone()));
     let recipes = Arc::new(Recipes::new(config.name.clone(), journal.clone(), &recovered.memory));
@@ -283,6 +292,7 @@ async fn start(
         settings: settings.clone(),
         refused_sockets: Arc::default(),
     });
+    let mqtt = start_mqtt(&config, &recovered, &context, shutdown.clone(), outage).await?;
     let on_zenoh = config.zenoh.as_ref().map(|zenoh| zenoh_settings(zenoh, &context)).transpose()?;
     tracing::info!(limit = shares.limit, http = shares.http, wsg_port = shares.wsg_port, "connection limits set");
     let limits = http::ServerLimits::within(Bounds::of(shares.http));
@@ -295,14 +305,7 @@ async fn start(
         None => None,
     };
     let zenoh = on_zenoh.map(|(settings, context)| serve_zenoh(settings, context));
-    let port_context = PortContext {
-        devices: runtimes.devices.handle().clone(),
-        audit: audit.clone(),
-        access: access.clone(),
-        metrics: port_metrics,
-        draining: draining.clone(),
-        closing: shutdown.clone(),
-    };
+    let port_context = port_context(&context, runtimes.devices.handle(), port_metrics, draining.clone());
     let announcement = Announcement::of(&config, address);
     let reloader = Reloader {
         flags: flags.clone(),
@@ -317,12 +320,48 @@ async fn start(
         accept: clients.accept.clone(),
         grippers: running,
         webhooks: webhooks.clone(),
+        mqtt: mqtt.clone(),
         ports: Ports::serve(ports, grippers.clone(), port_context),
         modbus,
     };
     let stopping = CancellationToken::new();
     let reloading = tokio::spawn(reloader.run(reload_requests, hang_up, stopping.clone()));
-    Ok(RunningGateway { reloading, server, zenoh, grippers, webhooks, audit, journal, stopping, draining, shutdown })
+    let endings = Endings { stopping, draining, shutdown };
+    Ok(RunningGateway { reloading, server, zenoh, grippers, webhooks, mqtt, audit, journal, endings })
+}
+
+fn port_context(
+    context: &http::HttpContext,
+    devices: &Handle,
+    metrics: connections::metrics::WsgPortMetrics,
+    draining: CancellationToken,
+) -> PortContext {
+    PortContext {
+        devices: devices.clone(),
+        audit: context.gateway.audit.clone(),
+        access: context.gateway.access.clone(),
+        metrics,
+        draining,
+        closing: context.closing.clone(),
+    }
+}
+
+async fn start_mqtt(
+    config: &Config,
+    recovered: &Recovered,
+    context: &http::HttpContext,
+    closing: CancellationToken,
+    outage: watch::Sender<Option<BrokerOutage>>,
+) -> anyhow::Result<Arc<MqttRunner>> {
+    let mqtt = MqttRunner::new(MqttContext {
+        gateway: context.gateway.clone(),
+        runtimes: context.runtimes.clone(),
+        registry: context.registry.clone(),
+        closing,
+        outage,
+    });
+    mqtt.apply(config.mqtt.clone(), &recovered.memory).await?;
+    Ok(Arc::new(mqtt))
 }
 
 async fn start_webhooks(

@@ -23,6 +23,7 @@ use crate::config::{
 use crate::gripper::Now;
 use crate::gripper::recorder::{Record, Recorder as _};
 use crate::interfaces::http::{self, HttpSettings, SharedSettings};
+use crate::interfaces::mqtt::MqttRunner;
 use crate::journal::{Journal, Recovered};
 use crate::model::{Client, Detail, Event, GatewayEvent, Name};
 use crate::operations::ReloadRequest;
@@ -46,6 +47,7 @@ pub(super) struct Reloader {
     pub(super) accept: RuntimeHandle,
     pub(super) grippers: RunningGrippers,
     pub(super) webhooks: Arc<WebhookRunner>,
+    pub(super) mqtt: Arc<MqttRunner>,
     pub(super) ports: Ports,
     /// `None` if Modbus is off.
     pub(super) modbus: Option<ServedModbus>,
@@ -156,7 +158,8 @@ impl Reloader {
         let port = port.map_err(|error| unusable(error.into()))?.map_or(before.port, |address| address.port());
         let settings = HttpSettings { port, ..settings };
         let webhooks = self.webhooks.prepare(&config.webhooks).map_err(unusable)?;
-        let recovered = if grippers.added.is_empty() && self.config.webhooks == config.webhooks {
+        let are_known = self.config.webhooks == config.webhooks && self.config.mqtt == config.mqtt;
+        let recovered = if grippers.added.is_empty() && are_known {
             Recovered::default()
         } else {
             self.journal.recall().await.map_err(|error| unusable(error.into()))?
@@ -198,6 +201,8 @@ impl Reloader {
             self.announcement = Announcement::of(&config, address);
         }
         self.webhooks.apply(webhooks, &recovered.memory).await?;
+        // Its future is large, and a reload is rare.
+        Box::pin(self.mqtt.apply(config.mqtt.clone(), &recovered.memory)).await?;
         self.config = config;
         Ok(())
     }
@@ -218,6 +223,7 @@ fn differences(before: &Config, after: &Config) -> Vec<(&'static str, Applied)> 
         journal,
         modbus,
         zenoh,
+        mqtt,
         tls_places: _,
         webhooks: _,
         warnings: _,
@@ -241,6 +247,7 @@ fn differences(before: &Config, after: &Config) -> Vec<(&'static str, Applied)> 
         ),
         ("listen", *listen != after.listen, Reload),
         ("Modbus", modbus_rules(before) != modbus_rules(after), Reload),
+        ("mqtt", *mqtt != after.mqtt, Reload),
         ("drift", *drift != after.drift, Reload),
         ("access and clients", *access != after.access, Reload),
         ("tls", *tls != after.tls, Reload),

@@ -21,7 +21,7 @@ const LEAST_FREE: u64 = 64 << 20;
 const FOR_ALL: u32 = 0o004;
 
 /// Keys whose values are files with secrets, besides those that the configuration knows.
-const SECRET_FILES: &[&str] = &["secret_file"];
+const SECRET_FILES: &[&str] = &["secret_file", "password_file", "key_file"];
 
 /// Keys whose values are secrets.
 const SECRETS: &[&str] = &["secret"];

@@ -3,6 +3,7 @@
 //! The checks change no setting and move no gripper. Devices of a running gateway are not contacted, because a device
 //! accepts one client.
 
+mod broker;
 mod bundle;
 mod can;
 mod clients;
@@ -99,6 +100,9 @@ pub async fn examine(flags: &Flags, mut report: impl FnMut(&Diagnosis)) {
     let running = running::GatewayState::find(&config).await;
     let installation = Installation { config, file: flags.config.clone(), running };
     CHECKS.iter().flat_map(|check| check(&installation)).for_each(|finding| report(&finding));
+    if let Some(finding) = broker::check(&installation).await {
+        report(&finding);
+    }
     devices::check(&installation, report).await;
 }
 

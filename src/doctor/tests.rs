@@ -315,3 +315,15 @@ async fn discovery_finds_a_device_and_leaves_it_properly() {
     assert_eq!(frames.last().unwrap().id, id::DISCONNECT_ANNOUNCEMENT);
     assert_eq!(plan("10.0.0.0/8"), Err(discover::TooManyAddresses));
 }
+
+#[tokio::test]
+async fn broker_that_is_away_and_its_exposed_password_are_named() {
+    let place = Place::new();
+    let path = place.file("broker.password", 0o644, "s3cret").display().to_string();
+    let toml = "[mqtt]\nbroker = \"mqtt://127.0.0.1:1\"\nuser = \"cell\"\npassword_file = \"broker.password\"\n";
+    let flags = Flags { config: Some(place.file("file.toml", 0o644, toml)), ..place.flags("sim://wsg50") };
+    let findings = findings(&flags).await;
+    let problem = |check: &str| findings.iter().find(|finding| finding.check == check).unwrap().text.clone();
+    assert!(problem("secrets").contains(&path), "{findings:#?}");
+    assert!(problem("mqtt").starts_with("mqtt://127.0.0.1:1: cannot connect"), "{findings:#?}");
+}

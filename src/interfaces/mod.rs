@@ -7,6 +7,7 @@ mod context;
 pub mod dashboard;
 pub mod http;
 pub mod modbus;
+pub mod mqtt;
 mod on_demand;
 pub mod websocket;
 pub mod wsg_port;

@@ -78,6 +78,8 @@ pub enum AlarmKind {
     CertificateExpiring,
     /// The receiver of the webhook has accepted no delivery for a minute.
     WebhookFailing,
+    /// A connection to the MQTT broker has been down for a minute.
+    MqttFailing,
 }
 
 impl AlarmKind {
@@ -108,7 +110,8 @@ impl AlarmKind {
             | Self::MaintenanceDue
             | Self::TokenExpiring
             | Self::CertificateExpiring
-            | Self::WebhookFailing => AlarmPriority::Low,
+            | Self::WebhookFailing
+            | Self::MqttFailing => AlarmPriority::Low,
         }
     }
 }
@@ -126,8 +129,8 @@ pub enum AlarmPriority {
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
 pub struct AlarmCause {
     /// Cause as text: the cause of a FAST STOP or of a lost link, the unknown values, the name of a lost lease holder, the
-    /// figures of a drift, or the use of a finger set. Also the end of a credential, or the failure of a webhook. Null if
-    /// the kind of the alarm says everything.
+    /// figures of a drift, or the use of a finger set. Also the end of a credential, or the failure of a webhook or
+    /// of MQTT. Null if the kind of the alarm says everything.
     #[schema(required)]
     pub cause: Option<Arc<str>>,
     /// Id of the FAST STOP; null for other alarms.
@@ -143,7 +146,7 @@ pub struct AlarmCause {
     #[serde(default)]
     #[schema(required)]
     pub part_id: Option<PartId>,
-    /// Name of the token or webhook, or file of the certificate; null for other alarms.
+    /// Name of the token or webhook, file of the certificate, or URL of the MQTT broker; null for other alarms.
     #[serde(default)]
     #[schema(required)]
     pub name: Option<Arc<str>>,

@@ -26,6 +26,8 @@ pub enum Door {
     Wsg,
     /// Modbus TCP.
     Modbus,
+    /// MQTT, through a broker.
+    Mqtt,
 }
 
 impl Door {

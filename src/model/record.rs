@@ -172,6 +172,8 @@ pub enum PersistedKey {
     Recipes,
     /// Finger set, and drift of contact widths.
     Wear,
+    /// Position of MQTT in the journal, under the gateway's name.
+    Mqtt,
 }
 
 /// Treatment of motions while the journal cannot be written.

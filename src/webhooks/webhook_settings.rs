@@ -160,7 +160,9 @@ impl Authorities {
         Ok(Self(roots.roots))
     }
 
-    pub(super) fn roots(&self) -> RootCertStore {
+    /// Returns the authorities as TLS takes them.
+    #[must_use]
+    pub fn roots(&self) -> RootCertStore {
         RootCertStore { roots: self.0.clone() }
     }
 }

@@ -155,6 +155,7 @@ mod tests {
 
     const PERIOD: Updates = Updates::On { on_change: false, period_ms: 20 };
 
+    #[allow(clippy::unnecessary_wraps, reason = "the type of a function that reads values")]
     fn same(_: u8) -> Option<Data> {
         Some(Data::None)
     }

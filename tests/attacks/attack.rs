@@ -60,7 +60,7 @@ pub fn run<A>(
     let mut probe = Probe::of(gateway, device);
     let poller = Poller::start(gateway.address);
     // Using each interface once allocates its buffers.
-    for way in [Way::FreshHttp, Way::OpenWebSocket, Way::OpenPort, Way::OpenModbus, Way::Zenoh] {
+    for way in [Way::FreshHttp, Way::OpenWebSocket, Way::OpenPort, Way::OpenModbus, Way::Mqtt, Way::Zenoh] {
         if probe.has(way) {
             assert_eq!(probe.stops(way, 2).reached(), 2, "{way:?} reaches the device before the attack");
         }

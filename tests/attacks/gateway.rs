@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 
 use crate::device::Device;
 use crate::http;
+use crate::mqtt::Mqtt;
 
 /// Time for the gateway to start and connect to its devices.
 const STARTS_WITHIN: Duration = Duration::from_secs(20);
@@ -34,6 +35,8 @@ pub struct Gateway {
     /// Address of Modbus, where `g` is unit 1 and `h` is unit 2; `None` without Modbus.
     pub modbus: Option<SocketAddr>,
     pub zenoh: String,
+    /// Broker of the gateway, if it uses one.
+    pub mqtt: Option<Mqtt>,
     pub grippers: &'static [&'static str],
 }
 
@@ -55,24 +58,36 @@ pub enum Limits {
 impl Gateway {
     /// Starts a gateway, and waits until both devices are connected.
     pub fn start(g: &Device, h: &Device, limits: Limits) -> Self {
-        Self::with(&serving(g, h), &["g", "h"], limits)
+        Self::with_broker(&serving(g, h), limits)
     }
 
     /// Starts a gateway whose journal is a file. A journal in memory grows with each event.
     pub fn with_journal_file(g: &Device, h: &Device) -> Self {
         let journal = format!("--journal={}", file("journal").display());
-        Self::with(&[&serving(g, h)[..], &[journal]].concat(), &["g", "h"], Limits::Inherited)
+        Self::with_broker(&[&serving(g, h)[..], &[journal]].concat(), Limits::Inherited)
+    }
+
+    fn with_broker(arguments: &[String], limits: Limits) -> Self {
+        // An aborted process with the same id may have left a journal.
+        remove_files();
+        let mqtt = Mqtt::start();
+        let config = file("config");
+        std::fs::write(&config, mqtt.section()).unwrap();
+        let config = format!("--config={}", config.display());
+        let mut gateway = Self::with(&[arguments, &[config]].concat(), &["g", "h"], limits);
+        mqtt.until_subscribed();
+        gateway.mqtt = Some(mqtt);
+        gateway
     }
 
     /// Starts a gateway with `g` alone, and without Modbus.
     pub fn of(g: &Device, limits: Limits) -> Self {
+        remove_files();
         let arguments = [format!("--gripper=g=tcp://{}", g.address), "--wsg-port=g=127.0.0.1:0".to_owned()];
         Self::with(&arguments, &["g"], limits)
     }
 
     fn with(arguments: &[String], grippers: &'static [&'static str], limits: Limits) -> Self {
-        // An aborted process with the same id may have left a journal.
-        remove_files();
         let (said, logged) = (file("out"), file("log"));
         let limits = match limits {
             Limits::Inherited => String::new(),
@@ -114,7 +129,7 @@ impl Gateway {
         };
         let other_port = served("--wsg-port=h=", "WSG port of h: tcp://");
         let modbus = served("--modbus=", "Modbus: ");
-        let gateway = Self { child, logged, address, port, other_port, modbus, zenoh, grippers };
+        let gateway = Self { child, logged, address, port, other_port, modbus, zenoh, mqtt: None, grippers };
         for gripper in grippers {
             gateway.until_connected(gripper);
         }
@@ -198,7 +213,7 @@ fn file(what: &str) -> PathBuf {
 }
 
 fn remove_files() {
-    for what in ["out", "log", "journal", "journal-wal", "journal-shm", "journal-lock"] {
+    for what in ["out", "log", "config", "journal", "journal-wal", "journal-shm", "journal-lock"] {
         let _ = std::fs::remove_file(file(what));
     }
 }

@@ -11,6 +11,10 @@
 #[allow(dead_code, unused_imports, reason = "parts used only by other tests")]
 mod harness;
 
+#[path = "../suite/mqtt/broker.rs"]
+#[allow(dead_code, reason = "parts used only by other tests")]
+mod broker;
+
 mod attack;
 mod attacker;
 mod device;
@@ -18,6 +22,7 @@ mod every_run;
 mod gateway;
 mod http;
 mod long;
+mod mqtt;
 mod poller;
 mod probe;
 mod websocket;

@@ -46,13 +46,22 @@ pub enum Way {
     FreshPort,
     OpenModbus,
     FreshModbus,
+    /// Through the broker.
+    Mqtt,
     Zenoh,
 }
 
 impl Way {
     /// All interfaces other than HTTP. A put to Zenoh stops all grippers, so it comes last.
-    pub const OTHERS: [Self; 6] =
-        [Self::OpenWebSocket, Self::OpenPort, Self::FreshPort, Self::OpenModbus, Self::FreshModbus, Self::Zenoh];
+    pub const OTHERS: [Self; 7] = [
+        Self::OpenWebSocket,
+        Self::OpenPort,
+        Self::FreshPort,
+        Self::OpenModbus,
+        Self::FreshModbus,
+        Self::Mqtt,
+        Self::Zenoh,
+    ];
 }
 
 /// FAST STOPs over one interface.
@@ -99,6 +108,8 @@ pub struct Probe<'a> {
     socket: Socket,
     port: TcpStream,
     modbus: Option<TcpStream>,
+    /// Number of FAST STOPs over MQTT so far.
+    mqtt_stops: usize,
     /// Time of the last request over Modbus.
     polled_at: Instant,
 }
@@ -110,7 +121,7 @@ impl<'a> Probe<'a> {
         let socket = Socket::open(gateway).expect("a WebSocket opens before the attack");
         let port = http::connect(gateway.port).expect("the WSG port accepts before the attack");
         let modbus = gateway.modbus.map(|address| http::connect(address).expect("Modbus accepts before the attack"));
-        Self { gateway, device, runtime, zenoh, socket, port, modbus, polled_at: Instant::now() }
+        Self { gateway, device, runtime, zenoh, socket, port, modbus, mqtt_stops: 0, polled_at: Instant::now() }
     }
 
     /// Sends a series of FAST STOPs over one interface.
@@ -166,6 +177,10 @@ impl<'a> Probe<'a> {
                 is_answered && modbus.write_all(&modbus_fast_stop(false)).is_ok() && read_adu(modbus).is_some()
             }),
             (Way::OpenWebSocket, Ok(_)) => self.socket.has_more_answers(answers_before, http::PATIENCE),
+            (Way::Mqtt, Ok(_)) => {
+                let mqtt = self.gateway.mqtt.as_ref();
+                mqtt.is_some_and(|mqtt| mqtt.is_answered(&self.mqtt_stops.to_string()))
+            }
             (Way::Zenoh, Ok(_)) => reached.is_some(),
             (_, Ok(None)) => false,
             (_, Err(failure)) => {
@@ -188,7 +203,11 @@ impl<'a> Probe<'a> {
 
     /// Whether the gateway serves this interface.
     pub fn has(&self, way: Way) -> bool {
-        !matches!(way, Way::OpenModbus | Way::FreshModbus) || self.modbus.is_some()
+        match way {
+            Way::OpenModbus | Way::FreshModbus => self.modbus.is_some(),
+            Way::Mqtt => self.gateway.mqtt.is_some(),
+            _ => true,
+        }
     }
 
     /// Sends a FAST STOP, and returns the connection if it is a fresh one.
@@ -223,6 +242,12 @@ impl<'a> Probe<'a> {
                 let mut connection = http::connect(self.gateway.modbus.ok_or(std::io::ErrorKind::NotConnected)?)?;
                 connection.write_all(&modbus_fast_stop(true))?;
                 Ok(Some(connection))
+            }
+            Way::Mqtt => {
+                self.mqtt_stops += 1;
+                let mqtt = self.gateway.mqtt.as_ref().ok_or(std::io::ErrorKind::NotConnected)?;
+                mqtt.fast_stop(&self.mqtt_stops.to_string());
+                Ok(None)
             }
             Way::Zenoh => {
                 self.runtime.block_on(self.zenoh.put("wsg/v1/gateway/fast-stop", "the probe"));

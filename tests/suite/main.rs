@@ -11,6 +11,7 @@ mod harness;
 mod http;
 mod installation;
 mod modbus;
+mod mqtt;
 mod recordings;
 mod records;
 mod wsg_port;

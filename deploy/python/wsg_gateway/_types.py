@@ -36,6 +36,7 @@ AlarmKind = Literal[
     "token_expiring",
     "certificate_expiring",
     "webhook_failing",
+    "mqtt_failing",
 ]
 """Condition that raises an alarm.
 - `fast_stop`: A FAST STOP is latched; its acknowledgement also acknowledges the alarm.
@@ -67,6 +68,7 @@ AlarmKind = Literal[
 - `token_expiring`: The token or PIN ends within 14 days, or has ended.
 - `certificate_expiring`: The TLS certificate ends within 14 days, or has ended.
 - `webhook_failing`: The receiver of the webhook has accepted no delivery for a minute.
+- `mqtt_failing`: A connection to the MQTT broker has been down for a minute.
 """
 
 AlarmPriority = Literal[
@@ -183,6 +185,7 @@ Door = Literal[
     "zenoh",
     "wsg",
     "modbus",
+    "mqtt",
 ]
 """Interface through which a client reached the gateway.
 - `http`: The HTTP API.
@@ -190,6 +193,7 @@ Door = Literal[
 - `zenoh`: Zenoh.
 - `wsg`: The WSG port, which speaks the device's own protocol.
 - `modbus`: Modbus TCP.
+- `mqtt`: MQTT, through a broker.
 """
 
 EventKind = Literal[
@@ -868,7 +872,7 @@ class AlarmEvent(Model):
     cause: str | None
     """Cause as text: the cause of a FAST STOP or of a lost link, the unknown values, the name of a lost lease
     holder, the figures of a drift, or the use of a finger set. Also the end of a credential, or the failure of
-    a webhook. Null if the kind of the alarm says everything.
+    a webhook or of MQTT. Null if the kind of the alarm says everything.
     """
     command_id: str | None
     """Id of the command that the event belongs to; null if it belongs to none."""
@@ -887,7 +891,7 @@ class AlarmEvent(Model):
     """Name of the gripper; null if the event concerns all grippers."""
     kind: Literal["alarm"]
     name: str | None
-    """Name of the token or webhook, or file of the certificate; null for other alarms."""
+    """Name of the token or webhook, file of the certificate, or URL of the MQTT broker; null for other alarms."""
     part_id: str | None
     """Id of the part or gauge whose contact widths drift; null for other alarms."""
     priority: AlarmPriority

@@ -83,7 +83,7 @@ impl Account {
 
 impl Payer {
     fn of(subject: &str, door: Door) -> Self {
-        if door == Door::Zenoh {
+        if matches!(door, Door::Zenoh | Door::Mqtt) {
             return Self::Interface(door);
         }
         let address = subject.split_once(':').and_then(|(_, address)| address.parse().ok());

@@ -3,6 +3,7 @@
 mod bodies;
 pub mod crowded_ports;
 mod descriptors;
+mod mqtt_requests;
 mod polls;
 mod sockets;
 mod spellings;

@@ -23,11 +23,11 @@ const ROOMS: &str = "
     cli: access config connections daemon doctor fleet interfaces interfaces/http interfaces/websocket model journal logging
         transport wsg wsg/frame
     alarms: access fleet gripper model gripper/recorder journal wear webhooks
-    daemon: access alarms config connections interfaces interfaces/dashboard interfaces/http interfaces/modbus interfaces/wsg_port
-        interfaces/zenoh events fleet operations gripper gripper/actor model gripper/recorder journal recipes
+    daemon: access alarms config connections interfaces interfaces/dashboard interfaces/http interfaces/modbus interfaces/mqtt
+        interfaces/wsg_port interfaces/zenoh events fleet operations gripper gripper/actor model gripper/recorder journal recipes
         settings sim transport trends wear webhooks wsg
-    doctor: access config connections daemon model interfaces/wsg_port journal transport wsg wsg/frame
-    config: access connections model interfaces/http interfaces/wsg_port journal settings transport wear webhooks
+    doctor: access config connections daemon model interfaces/mqtt interfaces/wsg_port journal transport wsg wsg/frame
+    config: access connections model interfaces/http interfaces/mqtt interfaces/wsg_port journal settings transport wear webhooks
     logging:
     operations: access alarms events fleet gripper model gripper/recorder journal recipes trends wear webhooks wsg
     connections: access model settings transport
@@ -36,6 +36,8 @@ const ROOMS: &str = "
     interfaces/http: access connections interfaces interfaces/dashboard interfaces/websocket events fleet operations
         gripper model journal recipes settings transport
     interfaces/modbus: connections gripper model operations wsg
+    interfaces/mqtt: access alarms connections interfaces fleet gripper model gripper/recorder journal operations settings transport
+        webhooks
     interfaces/websocket: access connections interfaces events gripper model operations
     interfaces/wsg_port: access connections gripper model operations settings wsg wsg/frame
     interfaces/zenoh: access connections interfaces events fleet gripper model journal operations
@@ -65,7 +67,7 @@ const ROOMS: &str = "
 /// Rooms without import cycles, neither within a room nor across these rooms.
 const WITHOUT_CIRCLES: &str = "
     lib access main cli logging operations alarms fleet recipes trends wear
-    connections interfaces interfaces/dashboard interfaces/http interfaces/modbus interfaces/websocket interfaces/wsg_port interfaces/zenoh
+    connections interfaces interfaces/dashboard interfaces/http interfaces/modbus interfaces/mqtt interfaces/websocket interfaces/wsg_port interfaces/zenoh
     gripper gripper/latch gripper/recorder gripper/setup transport wsg wsg/crc wsg/frame
 ";
 

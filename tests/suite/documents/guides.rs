@@ -213,6 +213,7 @@ async fn guides_name_all_that_a_user_can_set_or_see() {
 const OTHER_WORDS: &[&str] = &[
     "bound_to",
     "checksum_evaluation",
+    "clean_start",
     "connect_certificate",
     "connect_private_key",
     "contact_width",

@@ -121,11 +121,11 @@ impl Gateway {
         gateway
     }
 
-    /// Starts a gateway with these arguments and a webhook whose receiver is down, so that all metrics exist. Homes
-    /// its gripper `g`.
+    /// Starts a gateway with these arguments, a webhook whose receiver is down and a broker that is down, so that all
+    /// metrics exist. Homes its gripper `g`.
     pub async fn with_webhook(arguments: &[&str]) -> Self {
         let webhook = "[[webhooks]]\nname = \"mes\"\nurl = \"http://127.0.0.1:1\"\n\
-                       secret = \"whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw\"\n";
+                       secret = \"whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw\"\n[mqtt]\nbroker = \"mqtt://127.0.0.1:1\"\n";
         let gateway = Self::with_file(arguments, webhook).await;
         gateway.until_link("connected").await;
         gateway.post("home", &json!({})).await.outcome("SUCCESS");
