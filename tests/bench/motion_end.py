@@ -92,7 +92,7 @@ class Cell:
         tapped = tap.sockets[0].getsockname()[1]
         path = os.path.join(folder, f"{id(self)}.toml")
         with open(path, "w", encoding="utf-8") as file:
-            file.write(f'listen = "127.0.0.1:0"\n[grippers.g]\nurl = "tcp://127.0.0.1:{tapped}"\n')
+            file.write(f'listen = "127.0.0.1:0"\non_journal_failure = "continue"\n[grippers.g]\nurl = "tcp://127.0.0.1:{tapped}"\n')
             file.write(f'wsg_port = "127.0.0.1:0"\nupdate_period_ms = {self.period_ms}\n')
         port = await self.start("--config", path, "--zenoh-listen", "tcp/127.0.0.1:0", before="WSG port of g: ")
         self.reader, self.writer = await asyncio.open_connection("127.0.0.1", port)
@@ -139,8 +139,9 @@ async def main(programs, folder):
         for number in range(MOTIONS):
             for cell in cells:
                 width = 60.0 + number % 2 * 5
-                if await cell.run(request(MOVE, b"\x00" + struct.pack("<ff", width, 400.0))) != SUCCESS:
-                    raise SystemExit("a motion failed")
+                status = await cell.run(request(MOVE, b"\x00" + struct.pack("<ff", width, 400.0)))
+                if status != SUCCESS:
+                    raise SystemExit(f"{cell.program}: motion {number} ended with the status {status}")
                 # Ends at any time between two updates.
                 await asyncio.sleep(number % 17 / 1000)
         for cell in cells:
