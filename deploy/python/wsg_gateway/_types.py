@@ -125,6 +125,8 @@ Code = Literal[
     "unknown_past",
     "reserved",
     "unsupported_encoding",
+    "no_servo",
+    "stale_target",
 ]
 """Machine-readable cause of a problem. The codes never change.
 - `malformed`: The request cannot be parsed, or a field has the wrong form.
@@ -166,6 +168,8 @@ Code = Literal[
 - `unknown_past`: The journal was restored, so a request with this id may have been executed before.
 - `reserved`: The gripper holds a part for a client that was lost.
 - `unsupported_encoding`: The body is compressed.
+- `no_servo`: No servo session of this client is open; `detail` says why the last one ended.
+- `stale_target`: The target is older than the newest one, or too old.
 """
 
 Direction = Literal[
@@ -431,6 +435,25 @@ RecipeStep = Literal[
 - `recipe_set`: The recipe was created or changed.
 - `recipe_removed`: The recipe was removed.
 """
+
+ServoAdapter = Literal[
+    "moves",
+    "position_pd",
+    "width_speed",
+    "script",
+]
+"""Way in which a session's targets reach the fingers."""
+
+ServoEnd = Literal[
+    "ended",
+    "silence",
+    "stop",
+    "fast_stop",
+    "lease",
+    "device",
+    "link",
+]
+"""Reason for the end of a servo session."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -752,8 +775,8 @@ class Lease(Model):
     epoch: int
     """Number of the newest lease of this gripper. It grows with each lease, also across restarts of the gateway."""
     expires_in_ms: int | None
-    """Remaining time to live, in ms. It does not run down while a request of the holder is open. Null if the lease
-    is free.
+    """Remaining time to live, in ms. It does not run down while a request of the holder is open, or while the
+    lease is `bound`. Null if the lease is free.
     """
     held: bool
     """Whether a client holds the lease."""
@@ -769,6 +792,11 @@ class Lease(Model):
     """
     ttl_ms: int | None
     """Time to live without use, in ms; null if the lease is free."""
+    bound: bool | None = None
+    """Whether a connection of the holder keeps the lease, which then has no end of its own: `expires_in_ms` starts
+    to run down only when the connection no longer keeps it. Absent if the lease is free, and in the reply to a
+    request for the lease, because the connection is bound after it.
+    """
     place: int | None = None
     """Place of this client among those that have requested a hand-over, from 1; only in the reply to such a
     request.
@@ -1014,7 +1042,7 @@ class DeviceEvent(Model):
     command_id: str | None
     """Id of the command that the event belongs to; null if it belongs to none."""
     door: Door | None
-    event: Literal["restarted", "replaced", "fault", "fault_cleared", "foreign_motion", "flickering", "streamed", "stream_silent", "values_unknown", "values_known", "part_lost"]
+    event: Literal["restarted", "replaced", "fault", "fault_cleared", "foreign_motion", "flickering", "streamed", "stream_silent", "servo_started", "servo_ended", "values_unknown", "values_known", "part_lost"]
     gripper: str | None
     """Name of the gripper; null if the event concerns all grippers."""
     kind: Literal["device"]
@@ -1022,6 +1050,9 @@ class DeviceEvent(Model):
     """Sequence number of the event."""
     subject: str | None
     """Subject of the client that caused the event; null if no client did."""
+    accepted: int | None = None
+    """Number of accepted targets."""
+    adapter: ServoAdapter | None = None
     aggregated: int | None = None
     """Number of earlier events of the same kind that this event also stands for; absent if it stands for itself
     alone. For a client that exceeds its rate, only the newest event is stored, at most once a second.
@@ -1032,16 +1063,34 @@ class DeviceEvent(Model):
     """
     count: int | None = None
     """Number of changes left out within one second. / Number of admitted requests."""
+    duration_ms: int | None = None
+    """Duration of the session in ms."""
     flags: list[str] | None = None
     """Names of the flags."""
+    force_n: float | None = None
+    """Force limit that the session sets in N; null if it sets none."""
     known_serial_number: int | None = None
     """Serial number of the previous device."""
     label: str | None = None
     """Name that the client gave, if it has no credential. It is shown beside the subject, and proves nothing."""
+    longest_gap_ms: int | None = None
+    """Longest time between two accepted targets, in ms."""
+    max_speed_mm_s: float | None = None
+    """Greatest speed of a target in mm/s."""
     raw_id: int | None = None
     """Id of the custom command."""
+    reason: ServoEnd | None = None
+    """Reason for the end."""
+    refused: int | None = None
+    """Number of refused targets."""
     serial_number: int | None = None
     """Serial number of the device that answers now."""
+    superseded: int | None = None
+    """Number of accepted targets that a newer one has replaced before they were sent."""
+    timeout_ms: int | None = None
+    """Silence after which the session ends with a Stop, in ms."""
+    travel_mm: float | None = None
+    """Way that the fingers have travelled, in mm."""
     values: list[str] | None = None
     """Names of the values, as in the state."""
     width_mm: float | None = None
