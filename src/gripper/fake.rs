@@ -10,7 +10,8 @@ use tokio::sync::{broadcast, mpsc, watch};
 
 use super::handle::{AcquiredLease, ActorRequest, FastStopRequest, Handle, Ticket};
 use super::info::Info;
-use super::lease::{LeaseState, Terms};
+use super::lease::LeaseState;
+use super::lease_terms::Terms;
 use model::clock;
 use model::error::{Conflict, Invalid, Rejection};
 use model::{

@@ -7,9 +7,9 @@ use std::time::{Duration, Instant};
 use serde::{Deserialize, Serialize};
 use tokio::sync::Notify;
 
+use super::lease_terms::Terms;
 use model::error::{Conflict, Invalid, Rejection};
-use model::lease::{DEFAULT_TTL, MIN_TTL};
-use model::{Client, Door, Lease, LeaseRules, LeaseToken, OnLossHolding, OnLossMoving, TakeLease};
+use model::{Client, Door, Lease, LeaseToken, TakeLease};
 
 /// Time for which a request for the lease counts without being repeated.
 const REQUEST_LASTS: Duration = Duration::from_mins(1);
@@ -35,46 +35,6 @@ impl Holder {
     /// Whether both have the same name and subject.
     fn is(&self, other: &Self) -> bool {
         self.name == other.name && self.client.subject == other.client.subject
-    }
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Terms {
-    pub ttl: Duration,
-    pub on_loss_moving: OnLossMoving,
-    pub on_loss_holding: OnLossHolding,
-}
-
-impl Terms {
-    /// The terms that the client requested, completed with the configured defaults.
-    pub(super) fn of(wish: &TakeLease, rules: &LeaseRules) -> Result<Self, Invalid> {
-        let ttl = wish.ttl.unwrap_or(DEFAULT_TTL.min(rules.max_ttl));
-        if ttl < MIN_TTL || ttl > rules.max_ttl {
-            return Err(Invalid::OutOfRange {
-                field: "ttl_ms",
-                value: ttl.as_millis() as f32,
-                min: MIN_TTL.as_millis() as f32,
-                max: rules.max_ttl.as_millis() as f32,
-                limit: "the gripper's configuration",
-            });
-        }
-        Ok(Self {
-            ttl,
-            on_loss_moving: chosen("on_loss_moving", wish.on_loss_moving, &rules.on_loss_moving)?,
-            on_loss_holding: chosen("on_loss_holding", wish.on_loss_holding, &rules.on_loss_holding)?,
-        })
-    }
-}
-
-fn chosen<T: Copy + PartialEq + Serialize>(field: &'static str, given: Option<T>, allowed: &[T]) -> Result<T, Invalid> {
-    match (given, allowed.first()) {
-        (Some(given), _) if allowed.contains(&given) => Ok(given),
-        (None, Some(first)) => Ok(*first),
-        _ => {
-            let words: Vec<_> = allowed.iter().map(|word| serde_json::json!(word).to_string()).collect();
-            let detail = format!("this gripper's configuration allows only {}", words.join(" or "));
-            Err(Invalid::Malformed { field, detail })
-        }
     }
 }
 
@@ -480,6 +440,8 @@ impl LeaseState {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use model::LeaseRules;
+    use model::lease::DEFAULT_TTL;
 
     #[test]
     fn refusal_says_whether_a_connection_keeps_the_lease() {

@@ -17,6 +17,7 @@ pub mod info;
 mod last_command;
 mod latch;
 mod lease;
+mod lease_terms;
 pub mod limits;
 pub mod metrics;
 mod observed;

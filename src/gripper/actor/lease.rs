@@ -4,7 +4,8 @@ use std::time::Instant;
 
 use super::super::Now;
 use super::super::handle::{AcquiredLease, FastStopRequest, ResultSender};
-use super::super::lease::{AcquireOutcome, HeldLease, Holder, Terms};
+use super::super::lease::{AcquireOutcome, HeldLease, Holder};
+use super::super::lease_terms::Terms;
 use super::Actor;
 use super::link::OwnStop;
 use model::error::{Conflict, Failure, Rejection};

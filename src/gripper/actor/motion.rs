@@ -172,7 +172,9 @@ impl Actor {
     /// of known rate carries its updates as often as it can, so their requests would only delay them.
     fn request_values(&mut self, now: Now) {
         let flows = self.observed.flows();
-        let is_awaited = self.motion.running.as_ref().is_some_and(|running| !running.is_streamed);
+        let has_client = self.motion.running.as_ref().is_some_and(|running| !running.is_streamed);
+        // A drain sends nothing that it does not need.
+        let is_awaited = has_client && self.drain.is_none();
         let is_quick = is_awaited && self.link.properties.bytes_per_second.is_none() && !self.pacing.is_slow();
         if flows && !is_quick {
             return;

@@ -36,7 +36,7 @@ const ROOMS: &str = "
     interfaces/http: access connections interfaces interfaces/dashboard interfaces/websocket events fleet operations
         gripper model journal recipes settings transport
     interfaces/modbus: connections gripper model operations wsg
-    interfaces/mqtt: access alarms connections interfaces fleet gripper model gripper/recorder journal operations settings transport
+    interfaces/mqtt: access alarms connections fleet gripper model gripper/recorder journal operations settings transport
         webhooks
     interfaces/websocket: access connections interfaces events gripper model operations
     interfaces/wsg_port: access connections gripper model operations settings wsg wsg/frame

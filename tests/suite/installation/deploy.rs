@@ -24,15 +24,15 @@ fn named(text: &str) -> BTreeSet<&str> {
     words.filter(|word| word.starts_with("wsg_") && !OTHER_NAMES.contains(word)).collect()
 }
 
-/// All files below a directory.
+/// All texts below a directory.
 fn texts(directory: &Path) -> Vec<(String, String)> {
     let mut found = Vec::new();
     for entry in std::fs::read_dir(directory).unwrap() {
         let path = entry.unwrap().path();
         if path.is_dir() {
             found.extend(texts(&path));
-        } else {
-            found.push((path.display().to_string(), std::fs::read_to_string(&path).unwrap()));
+        } else if let Ok(text) = std::fs::read_to_string(&path) {
+            found.push((path.display().to_string(), text));
         }
     }
     found

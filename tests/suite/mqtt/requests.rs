@@ -58,7 +58,6 @@ async fn refusals_are_problems() {
     let broker = Broker::start().await;
     let gateway = homed(&broker, &[], BOTH).await;
     broker.until_subscribed("plant/cell/g/command/grip").await;
-    let lease = gateway.post("lease", &json!({"holder": "robot", "ttl_ms": 60_000})).await;
     for (topic, payload, status, code) in [
         ("plant/cell/g/command/grip", "{\"width_mm\": 500, \"speed_mm_s\": 200}", "422", "out_of_range"),
         ("plant/cell/g/command/grip", "{\"width_mm\": 20", "400", "malformed"),
@@ -82,6 +81,7 @@ async fn refusals_are_problems() {
         );
         assert_eq!(answer.properties.content_type.as_deref(), Some("application/problem+json"));
     }
+    let lease = gateway.post("lease", &json!({"holder": "robot", "ttl_ms": 60_000})).await;
     assert_eq!(lease.status, 200, "{lease:?}");
     let refused = broker.ask("plant/cell/g/command/move", "{\"width_mm\": 50, \"speed_mm_s\": 200}").await;
     assert_eq!(refused.json()["code"], "lease_held", "{refused:?}");
