@@ -9,6 +9,7 @@ use crate::harness::{Gateway, JournalFile};
 
 /// The program, and keys of its configuration, which are named like metrics.
 const OTHER_NAMES: &[&str] = &[
+    "wsg_base",
     "wsg_gateway",
     "wsg_port",
     "wsg_port_allow",
@@ -16,6 +17,8 @@ const OTHER_NAMES: &[&str] = &[
     "wsg_port_checksum_evaluation",
     "wsg_port_limits",
     "wsg_port_max_force_n",
+    "wsg_tool",
+    "wsg_tool_joint",
 ];
 
 /// Metrics named in a text.

@@ -85,7 +85,7 @@ async fn refusals_are_problems() {
     assert_eq!(lease.status, 200, "{lease:?}");
     let refused = broker.ask("plant/cell/g/command/move", "{\"width_mm\": 50, \"speed_mm_s\": 200}").await;
     assert_eq!(refused.json()["code"], "lease_held", "{refused:?}");
-    let token = lease.text("lease");
+    let token = lease.text("token");
     let correlation = Some("with lease");
     let payload = "{\"width_mm\": 50, \"speed_mm_s\": 200}";
     let properties: &[(&str, &str)] = &[("lease", &token), ("wait_ms", "20000")];

@@ -239,6 +239,18 @@ fn slow_line_gets_no_requests_for_the_values_of_a_result() {
     assert_eq!(ticket.now().outcome, Some(Outcome::Success));
 }
 
+/// Such requests would switch the updates on again that a drain switches off.
+#[test]
+fn drain_requests_no_values_at_the_end_of_a_motion() {
+    let (mut rig, ticket) = moving(TCP, release_motion());
+    let (answer, _drained) = oneshot::channel();
+    rig.actor.request(rig.now, ActorRequest::Drain { answer });
+    assert!(rig.end_motion(id::RELEASE, Status::E_SUCCESS).is_empty());
+    rig.now.instant += Duration::from_millis(10);
+    rig.updates(GETTERS);
+    assert_eq!(ticket.now().outcome, Some(Outcome::Success));
+}
+
 #[test]
 fn grip_whose_requested_state_is_grasping_waits_for_holding() {
     const GRASPING: u8 = 1;
