@@ -9,7 +9,6 @@ use crate::harness::{Gateway, JournalFile};
 
 /// The program, and keys of its configuration, which are named like metrics.
 const OTHER_NAMES: &[&str] = &[
-    "wsg_base",
     "wsg_gateway",
     "wsg_port",
     "wsg_port_allow",
@@ -17,8 +16,6 @@ const OTHER_NAMES: &[&str] = &[
     "wsg_port_checksum_evaluation",
     "wsg_port_limits",
     "wsg_port_max_force_n",
-    "wsg_tool",
-    "wsg_tool_joint",
 ];
 
 /// Metrics named in a text.
@@ -27,11 +24,14 @@ fn named(text: &str) -> BTreeSet<&str> {
     words.filter(|word| word.starts_with("wsg_") && !OTHER_NAMES.contains(word)).collect()
 }
 
-/// All texts below a directory.
+/// All texts below a directory, without those for ROS 2, whose links and packages have such names.
 fn texts(directory: &Path) -> Vec<(String, String)> {
     let mut found = Vec::new();
     for entry in std::fs::read_dir(directory).unwrap() {
         let path = entry.unwrap().path();
+        if path.ends_with("ros2") {
+            continue;
+        }
         if path.is_dir() {
             found.extend(texts(&path));
         } else if let Ok(text) = std::fs::read_to_string(&path) {
