@@ -9,13 +9,16 @@ use crate::harness::{Gateway, JournalFile};
 
 /// The program, and keys of its configuration, which are named like metrics.
 const OTHER_NAMES: &[&str] = &[
+    "wsg_base",
     "wsg_gateway",
+    "wsg_gateway_ros",
     "wsg_port",
     "wsg_port_allow",
     "wsg_port_acknowledge",
     "wsg_port_checksum_evaluation",
     "wsg_port_limits",
     "wsg_port_max_force_n",
+    "wsg_tool",
 ];
 
 /// Metrics named in a text.
