@@ -154,11 +154,13 @@ async fn follow(call: Call<Follow>) -> Result<Json<ServoReport>, Problem> {
     let gripper = gripper.with_lease(fields.lease.as_deref())?;
     let step = Duration::from_millis(fields.dt_ms.checked("dt_ms")?);
     let count = fields.widths_mm.len();
-    let duration = step * u32::try_from(count).unwrap_or(u32::MAX).saturating_sub(1);
-    if count == 0 || count > MAX_WIDTHS || duration > MAX_SERIES {
-        let limit_s = MAX_SERIES.as_secs();
-        let detail = format!("widths_mm must have 1 to {MAX_WIDTHS} widths, for at most {limit_s} s in all");
-        return Err(Problem::malformed("widths_mm", detail));
+    if count == 0 || count > MAX_WIDTHS {
+        return Err(Problem::malformed("widths_mm", format!("widths_mm must have 1 to {MAX_WIDTHS} widths")));
+    }
+    let longest_step = MAX_SERIES / (count.max(2) as u32 - 1);
+    if step > longest_step {
+        let step_ms = step.as_millis() as f64;
+        return Err(Problem::out_of_range("dt_ms", step_ms, 1.0, longest_step.as_millis() as f64));
     }
     let widths: Result<Vec<Width>, Problem> = fields.widths_mm.iter().map(|mm| width("widths_mm", *mm)).collect();
     let aim = ServoAim::Widths(widths?.into(), step);

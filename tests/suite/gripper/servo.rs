@@ -82,6 +82,8 @@ async fn refused_targets_are_counted() {
     let problem = gateway.post("servo/follow", &series).await.problem(422, "out_of_range");
     assert_eq!(problem["field"], "widths_mm", "faster than max_speed_mm_s");
     gateway.post("servo/follow", &json!({"widths_mm": [], "dt_ms": 20})).await.problem(400, "malformed");
+    let long = json!({"widths_mm": vec![50; 256], "dt_ms": 50});
+    assert_eq!(gateway.post("servo/follow", &long).await.problem(422, "out_of_range")["max"], 39.0);
     let old = json!({"width_mm": 50, "at": "2020-01-01T00:00:00Z"});
     gateway.post("servo/target", &old).await.problem(409, "stale_target");
     let session = gateway.post("servo/stop", &json!({})).await.ok();
