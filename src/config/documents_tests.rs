@@ -129,11 +129,6 @@ fn example_file() -> String {
 fn example_in_guide() -> String {
     let text = example_file().replace(CLIENT_WITH_CERTIFICATE, "").replace("/etc/wsg-gateway/", "");
     let text = text.replace("/var/lib/wsg-gateway/tokens", "tokens");
-    let names_a_file = |line: &&str| {
-        let is_path = line.split(" = ").next().is_some_and(|key| key.ends_with("_file"));
-        // A user needs the file of the password.
-        is_path || line.starts_with("config = ") || line.starts_with("user = ")
-    };
     let lines = text.lines().filter_map(|line| line.strip_prefix('#')).filter(|line| !line.starts_with(' '));
     let lines = lines.filter(|line| !line.is_empty() && !names_a_file(line));
     lines.map(|line| if line.starts_with('[') { format!("\n{line}\n") } else { format!("{line}\n") }).collect()
@@ -164,4 +159,10 @@ fn keys_in_the_guide_are_current() {
     }
     assert_eq!(parts.next(), None, "a section for each table");
     compare(GUIDE, &made);
+}
+
+/// Whether a line of the example file names a file, which has to exist. A user needs the file of the password.
+pub(super) fn names_a_file(line: &str) -> bool {
+    let is_path = line.split(" = ").next().is_some_and(|key| key.ends_with("_file"));
+    is_path || line.starts_with("config = ") || line.starts_with("user = ")
 }

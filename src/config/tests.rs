@@ -355,14 +355,9 @@ fn packaged_file_changes_no_default() {
 #[test]
 fn packaged_file_has_every_key_with_a_valid_value() {
     // Files that these keys name must exist, and a webhook has one secret.
-    let names_a_file = |line: &&str| {
-        let is_path = line.split(" = ").next().is_some_and(|key| key.ends_with("_file"));
-        // A user needs the file of the password.
-        is_path || line.starts_with("config = ") || line.starts_with("user = ")
-    };
     let keys: Vec<_> =
         PACKAGED.lines().filter_map(|line| line.strip_prefix('#')).filter(|line| !line.starts_with(' ')).collect();
-    let text: Vec<_> = keys.iter().copied().filter(|line| !names_a_file(line)).collect();
+    let text: Vec<_> = keys.iter().copied().filter(|line| !super::documents_tests::names_a_file(line)).collect();
     let config = file(&text.join("\n")).unwrap();
     assert_eq!((config.grippers.len(), config.webhooks.len()), (1, 1));
     let sections = ["drift", "zenoh", "webhooks", "mqtt", "grippers", "access", "clients", "tls"];

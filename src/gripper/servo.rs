@@ -192,21 +192,14 @@ impl ServoSession {
     /// Checks the speeds of a target, also those between the widths of a series.
     pub(super) fn check_speeds(&self, target: &ServoTarget) -> Result<(), Invalid> {
         let max = self.terms.max_speed.mm_s();
-        let over = |field, value| Invalid::OutOfRange {
-            field,
-            value,
-            min: 0.0,
-            max,
-            limit: "max_speed_mm_s of the servo session",
-        };
         if let Some(speed) = target.speed.filter(|speed| speed.mm_s() > max) {
-            return Err(over("speed_mm_s", speed.mm_s()));
+            return Err(too_fast("speed_mm_s", speed.mm_s(), max));
         }
         if let ServoAim::Widths(widths, step) = &target.aim {
             let fastest = widths.windows(2).map(|pair| (pair[1].mm() - pair[0].mm()).abs()).fold(0.0, f32::max);
             let speed = fastest / step.as_secs_f32();
             if speed > max {
-                return Err(over("widths_mm", speed));
+                return Err(too_fast("widths_mm", speed, max));
             }
         }
         Ok(())
@@ -303,7 +296,7 @@ impl ServoSession {
     }
 
     /// Leaves out a target that the device has got already.
-    pub(super) fn skip(&mut self, now: Instant) {
+    pub(super) fn leave_out(&mut self, now: Instant) {
         if let Some(plan) = &mut self.plan {
             plan.is_sent = true;
         }
@@ -370,6 +363,10 @@ fn instant_of(now: Now, at: Option<Timestamp>) -> Instant {
     }
     let age = Duration::try_from(now.wall.duration_since(at)).unwrap_or_default();
     now.instant.checked_sub(age).unwrap_or(now.instant)
+}
+
+fn too_fast(field: &'static str, value: f32, max: f32) -> Invalid {
+    Invalid::OutOfRange { field, value, min: 0.0, max, limit: "max_speed_mm_s of the servo session" }
 }
 
 /// The mean of recent rates.

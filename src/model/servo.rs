@@ -120,8 +120,8 @@ impl ServoRules {
             let name = id::name(id).unwrap_or("no id of a command");
             section.fail("servo_id", format_args!("{id} ({id:02X}h) is {name} in the manual: use the id of a script"));
         }
-        let has = |field| self.layout.contains(&LayoutItem::Field(field));
-        let is_complete = has(LayoutField::WidthMm) && has(LayoutField::SpeedMmS);
+        let needed = [LayoutField::WidthMm, LayoutField::SpeedMmS];
+        let is_complete = needed.iter().all(|field| self.layout.contains(&LayoutItem::Field(*field)));
         if self.adapter == ServoAdapter::Script && !is_complete {
             section
                 .fail("servo_layout", "servo_layout needs \"width_mm\" and \"speed_mm_s\" for the adapter \"script\"");

@@ -220,7 +220,7 @@ impl Actor {
         let is_script = session.adapter != ServoAdapter::Moves;
         // A script may need a target from time to time, although it has not changed.
         if !is_script && session.has_target(target) {
-            return session.skip(now.instant);
+            return session.leave_out(now.instant);
         }
         match self.motion_of(target) {
             Some(motion) => self.start_servo_motion(now, target, motion, is_script),

@@ -61,8 +61,9 @@ impl Live {
     /// Returns the states that have changed, and a deletion of that of each removed gripper.
     pub(super) fn states(&mut self, now: Instant) -> Vec<LiveMessage> {
         let grippers = self.grippers().all();
-        let is_gone = |name: &Name| grippers.iter().all(|gripper| gripper.name() != name);
-        let gone: Vec<Name> = self.states.keys().filter(|name| is_gone(name)).cloned().collect();
+        let known = self.states.keys();
+        let gone: Vec<Name> =
+            known.filter(|name| grippers.iter().all(|gripper| gripper.name() != *name)).cloned().collect();
         let mut messages = Vec::new();
         for name in gone {
             self.states.remove(&name);

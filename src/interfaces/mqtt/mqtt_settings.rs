@@ -73,30 +73,31 @@ pub struct BrokerUrl {
     pub is_encrypted: bool,
 }
 
+fn invalid_broker(detail: &dyn fmt::Display) -> InvalidMqttSetting {
+    InvalidMqttSetting(format!("the broker {detail}: write mqtts://broker.example:8883 or mqtt://HOST:1883"))
+}
+
 impl FromStr for BrokerUrl {
     type Err = InvalidMqttSetting;
 
     fn from_str(text: &str) -> Result<Self, InvalidMqttSetting> {
-        let invalid = |detail: &dyn fmt::Display| {
-            InvalidMqttSetting(format!("the broker {detail}: write mqtts://broker.example:8883 or mqtt://HOST:1883"))
-        };
-        let url = Url::parse(text).map_err(|error| invalid(&format_args!("is not a valid URL ({error})")))?;
+        let url = Url::parse(text).map_err(|error| invalid_broker(&format_args!("is not a valid URL ({error})")))?;
         let is_encrypted = match url.scheme() {
             "mqtt" => false,
             "mqtts" => true,
-            _ => return Err(invalid(&"is neither mqtt:// nor mqtts://")),
+            _ => return Err(invalid_broker(&"is neither mqtt:// nor mqtts://")),
         };
         if !url.username().is_empty() || url.password().is_some() {
-            return Err(invalid(&"contains a user name: use the keys user and password_file"));
+            return Err(invalid_broker(&"contains a user name: use the keys user and password_file"));
         }
         if !matches!(url.path(), "" | "/") || url.query().is_some() || url.fragment().is_some() {
-            return Err(invalid(&"has more than a host and a port"));
+            return Err(invalid_broker(&"has more than a host and a port"));
         }
         let host = url.host_str().unwrap_or_default().trim_matches(['[', ']']).to_owned();
         if host.is_empty() {
-            return Err(invalid(&"has no host"));
+            return Err(invalid_broker(&"has no host"));
         }
-        check_host(&host).map_err(|error| invalid(&format_args!("has the host {error}")))?;
+        check_host(&host).map_err(|error| invalid_broker(&format_args!("has the host {error}")))?;
         let port = url.port().unwrap_or(if is_encrypted { TLS_PORT } else { PORT });
         Ok(Self { host, port, is_encrypted })
     }

@@ -80,8 +80,9 @@ impl PublishedProgress {
         if is_due {
             self.noted.push_back((now, self.acknowledged));
         }
-        let is_settled = |(at, _): &mut (Instant, Position)| now.saturating_duration_since(*at) >= SETTLED_AFTER;
-        while let Some((_, position)) = self.noted.pop_front_if(is_settled) {
+        while let Some((_, position)) =
+            self.noted.pop_front_if(|(at, _)| now.saturating_duration_since(*at) >= SETTLED_AFTER)
+        {
             self.settled = position;
         }
         self.settled

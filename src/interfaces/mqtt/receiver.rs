@@ -99,12 +99,14 @@ impl<R: Receive> Serve for MqttReceiver<R> {
 
 impl<R: Receive> MqttReceiver<R> {
     fn subscribe(&self) -> Packet {
-        let filter = |topic: &String| Filter {
-            preserve_retain: self.subscription.shows_retained,
-            retain_forward_rule: RetainForwardRule::OnEverySubscribe,
-            ..Filter::new(topic, QoS::AtLeastOnce)
-        };
-        let filters: Vec<Filter> = self.subscription.topics.iter().map(filter).collect();
+        let mut filters = Vec::new();
+        for topic in &self.subscription.topics {
+            filters.push(Filter {
+                preserve_retain: self.subscription.shows_retained,
+                retain_forward_rule: RetainForwardRule::OnEverySubscribe,
+                ..Filter::new(topic, QoS::AtLeastOnce)
+            });
+        }
         Packet::Subscribe(Subscribe { pkid: SUBSCRIPTION_ID, filters, properties: None })
     }
 

@@ -90,9 +90,10 @@ impl Window {
     /// # Errors
     /// The broker has not acknowledged a message in time.
     pub(super) fn check(&self, now: Instant) -> Result<(), MqttFailure> {
-        let is_late = |message: &InFlight| now.saturating_duration_since(message.sent_at) > ACKNOWLEDGED_WITHIN;
         match self.waiting.front() {
-            Some(message) if is_late(message) => Err(MqttFailure::Silent(ACKNOWLEDGED_WITHIN)),
+            Some(message) if now.saturating_duration_since(message.sent_at) > ACKNOWLEDGED_WITHIN => {
+                Err(MqttFailure::Silent(ACKNOWLEDGED_WITHIN))
+            }
             _ => Ok(()),
         }
     }

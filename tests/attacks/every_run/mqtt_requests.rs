@@ -6,9 +6,9 @@ use crate::gateway::{Gateway, Limits};
 
 #[test]
 fn flood_of_mqtt_requests_blocks_no_client() {
-    let (g, h) = (Device::start(), Device::start());
+    let g = Device::start();
+    let h = Device::start();
     let gateway = Gateway::start(&g, &h, Limits::Inherited);
     let mqtt = gateway.mqtt.as_ref().unwrap();
-    let begin = || mqtt.flood();
-    attack::run("10,000 MQTT requests a second", MANY, (&gateway, &g), begin, |_, _| {}).blocks_no_client();
+    attack::run("10,000 MQTT requests a second", MANY, (&gateway, &g), || mqtt.flood(), |_, _| {}).blocks_no_client();
 }

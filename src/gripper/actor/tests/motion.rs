@@ -109,7 +109,8 @@ fn own_stop_is_not_repeated_for_the_next_motion() {
 fn grip_waits_while_its_device_is_set_up_again() {
     let mut rig = Rig::connected(config(LinkProperties { name: "serial", may_duplicate: false, ..UDP }));
     rig.device.held.extend([id::SET_FORCE_LIMIT, id::GET_SYSTEM_INFO, id::GRIP]);
-    let (width, speed) = (Width::new(20.0).unwrap(), Speed::new(50.0).unwrap());
+    let width = Width::new(20.0).unwrap();
+    let speed = Speed::new(50.0).unwrap();
     let force = Some(Force::new(30.0).unwrap());
     begin(&mut rig, Motion::Grip { width, speed, force, part_id: None, recipe: None, is_reference: false });
     assert_eq!(rig.count(id::SET_FORCE_LIMIT), 1);
@@ -255,7 +256,8 @@ fn drain_requests_no_values_at_the_end_of_a_motion() {
 fn grip_whose_requested_state_is_grasping_waits_for_holding() {
     const GRASPING: u8 = 1;
     const HOLDING: u8 = 4;
-    let (width, speed) = (Width::new(20.0).unwrap(), Speed::new(50.0).unwrap());
+    let width = Width::new(20.0).unwrap();
+    let speed = Speed::new(50.0).unwrap();
     let grip = Motion::Grip { width, speed, force: None, part_id: None, recipe: None, is_reference: false };
     let (mut rig, ticket) = moving(TCP, grip);
     rig.device.gripper_state = GRASPING;

@@ -1,7 +1,7 @@
 //! Servo sessions: the newest target wins, silence stops, and whatever stops the fingers ends the session.
 
 use super::*;
-use jiff::{SignedDuration, Timestamp};
+use jiff::SignedDuration;
 use model::error::{Conflict, Invalid};
 use model::{
     Action, LeaseToken, Motion, ServoAdapter, ServoAim, ServoEnd, ServoReport, ServoRules, ServoTarget, ServoTerms,
@@ -54,6 +54,12 @@ impl Rig {
 
     fn aim(&mut self, mm: f32) -> Result<ServoReport, Rejection> {
         self.steer(Steer::Aim(target(mm)))
+    }
+
+    /// Sends a target for this time in ms from now.
+    fn aim_at(&mut self, ms: i64) -> Result<ServoReport, Rejection> {
+        let at = Some(self.now.wall + SignedDuration::from_millis(ms));
+        self.steer(Steer::Aim(ServoTarget { at, ..target(30.0) }))
     }
 
     /// Widths and speeds that the script has got.
@@ -205,12 +211,12 @@ fn other_motions_wait_for_the_end_of_the_session() {
     let mut rig = steered();
     let width = Width::new(50.0).unwrap();
     let speed = Speed::new(50.0).unwrap();
-    let release = || Action::Motion(Motion::Release { width, speed });
-    let refused = rig.submit_by("another", release());
+    let release = Action::Motion(Motion::Release { width, speed });
+    let refused = rig.submit_by("another", release.clone());
     assert!(matches!(refused, Err(Rejection::Conflict(Conflict::Steering { .. }))), "{refused:?}");
     assert!(matches!(rig.start(terms()), Err(Rejection::Conflict(Conflict::Steering { .. }))));
     rig.steer(Steer::Stop).unwrap();
-    rig.submit_by("another", release()).unwrap();
+    rig.submit_by("another", release).unwrap();
 }
 
 #[test]
@@ -231,15 +237,12 @@ fn targets_beyond_the_limits_are_refused_and_counted() {
 #[test]
 fn old_targets_are_refused() {
     let mut rig = steered();
-    let at = |now: Now, ms: i64| Some(now.wall + SignedDuration::from_millis(ms));
-    let aim = |rig: &mut Rig, at: Option<Timestamp>| rig.steer(Steer::Aim(ServoTarget { at, ..target(30.0) }));
-    let now = rig.now;
-    aim(&mut rig, at(now, -10)).unwrap();
+    rig.aim_at(-10).unwrap();
     for stale in [-10, -11, -300, 1100] {
-        let refused = aim(&mut rig, at(now, stale));
+        let refused = rig.aim_at(stale);
         assert!(matches!(refused, Err(Rejection::Conflict(Conflict::StaleTarget { .. }))), "{stale}: {refused:?}");
     }
-    aim(&mut rig, at(now, -9)).unwrap();
+    rig.aim_at(-9).unwrap();
 }
 
 #[test]

@@ -84,7 +84,8 @@ fn end_of_a_session_does_not_stop_the_next_motion() {
     rig.aim(30.0).unwrap();
     rig.steer(Steer::Stop).unwrap();
     rig.device.held = [id::GRIP].into();
-    let (width, speed) = (Width::new(20.0).unwrap(), Speed::new(50.0).unwrap());
+    let width = Width::new(20.0).unwrap();
+    let speed = Speed::new(50.0).unwrap();
     let grip = Motion::Grip { width, speed, force: None, part_id: None, recipe: None, is_reference: false };
     rig.submit_by("another", Action::Motion(grip)).unwrap();
     rig.pass_moving(60);
