@@ -1,7 +1,8 @@
 //! Wear of the fingers: their use since they were mounted, and the drift of contact widths.
 //!
-//! Both are computed from grip records as the records become durable, and persisted for each gripper. Records that were
-//! missed, e.g. at the end of the last run, are read from the journal. Retention changes neither.
+//! Both are computed from grip records and the ends of servo sessions as these become durable, and persisted for each
+//! gripper. Records that were missed, e.g. at the end of the last run, are read from the journal. Retention changes
+//! neither.
 
 mod drift;
 mod finger_set;
@@ -10,6 +11,7 @@ mod tests;
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use jiff::{SignedDuration, Timestamp};
 use serde::{Deserialize, Serialize};
@@ -20,7 +22,9 @@ use tokio_util::sync::CancellationToken;
 
 use crate::gripper::Now;
 use crate::gripper::recorder::{Record, Recorder as _};
-use crate::journal::{Cursor, GripQuery, GripUpdate, Journal, Limit, Order};
+use crate::journal::{
+    Cursor, EventKind, EventStream, Filter, GripQuery, GripUpdate, Journal, Limit, Order, StreamItem,
+};
 use crate::model::{
     AlarmKind, Client, Detail, Event, FingerSetChange, Kind, Name, Outcome, PartId, PersistedKey, PersistedState,
     SettingChange, SettingsEvent,
@@ -36,6 +40,9 @@ const MAX_CHARTS: usize = 64;
 
 /// Number of missed records that are read at once.
 const CAUGHT_UP_AT_ONCE: u64 = 1000;
+
+/// Pause after events could not be read from the journal.
+const READ_AGAIN_AFTER: Duration = Duration::from_secs(1);
 
 /// Longest time from the start of a motion to its record: the slowest motion takes 42 s (210 mm at 5 mm/s). If a motion
 /// seems to have begun earlier before the mount, the clock was set back.
@@ -60,6 +67,9 @@ struct KnownWear {
 struct GripperWear {
     /// Sequence number of the newest grip record that was counted.
     seq: i64,
+    /// Sequence number of the newest end of a servo session that was counted.
+    #[serde(default)]
+    session_seq: i64,
     finger_set: Option<FingerSet>,
     charts: Vec<DriftChart>,
 }
@@ -76,6 +86,23 @@ struct WearRecord {
     contact_width_mm: Option<f64>,
     travel_mm: Option<f64>,
     recipe_version: Option<u64>,
+}
+
+/// Fields of an event at the end of a servo session that wear is computed from.
+#[derive(Debug, Deserialize)]
+struct EndedSession {
+    seq: i64,
+    gripper: Name,
+    at: Timestamp,
+    #[serde(flatten)]
+    end: SessionEnd,
+}
+
+/// Tells the end of a servo session from other events of the device.
+#[derive(Debug, Deserialize)]
+#[serde(tag = "event", rename_all = "snake_case")]
+enum SessionEnd {
+    ServoEnded { duration_ms: u32, travel_mm: f64 },
 }
 
 /// Condition that a person must know about.
@@ -109,21 +136,37 @@ impl Wear {
         known.grippers.values_mut().flat_map(|wear| &mut wear.charts).for_each(|chart| chart.judge(limits));
     }
 
-    /// Follows the grip records until the gateway closes.
+    /// Follows grip records and servo sessions until the gateway closes.
     pub async fn watch(self: Arc<Self>, mut grips: Receiver<Arc<GripUpdate>>, closing: CancellationToken) {
+        let mut sessions = self.sessions();
         self.catch_up().await;
         loop {
-            let grip = tokio::select! {
+            tokio::select! {
                 biased;
                 () = closing.cancelled() => return,
-                grip = grips.recv() => grip,
-            };
-            match grip {
-                Ok(grip) => self.take(&grip.body),
-                Err(RecvError::Lagged(_)) => self.catch_up().await,
-                Err(RecvError::Closed) => return,
+                grip = grips.recv() => match grip {
+                    Ok(grip) => self.take(&grip.body),
+                    Err(RecvError::Lagged(_)) => self.catch_up().await,
+                    Err(RecvError::Closed) => return,
+                },
+                item = sessions.next() => match item {
+                    Ok(Some(StreamItem::Event(event))) => self.take_session(&event.body),
+                    Ok(Some(StreamItem::Removed { .. })) => {}
+                    Ok(None) => return,
+                    Err(error) => {
+                        tracing::warn!(%error, "motions not counted as wear of the fingers");
+                        tokio::time::sleep(READ_AGAIN_AFTER).await;
+                    }
+                },
             }
         }
+    }
+
+    /// The events after the newest session that was counted. Without any, counting begins with the next session.
+    fn sessions(&self) -> EventStream {
+        let counted = self.known().grippers.values().map(|wear| wear.session_seq).max();
+        let filter = Filter { kind: Some(EventKind::Device), ..Filter::default() };
+        self.journal.follow(counted.filter(|seq| *seq > 0), filter)
     }
 
     /// Counts the records after the newest one that was counted. Without any, counting begins with the next motion.
@@ -161,6 +204,18 @@ impl Wear {
         }
         wear.take(record, limits);
         self.persist(&gripper, wear);
+    }
+
+    /// Counts the way of a servo session that has ended. Other events are ignored.
+    fn take_session(&self, body: &str) {
+        let Ok(session) = serde_json::from_str::<EndedSession>(body) else { return };
+        let mut known = self.known();
+        let wear = known.grippers.entry(session.gripper.clone()).or_default();
+        if session.seq <= wear.session_seq {
+            return;
+        }
+        wear.take_session(&session);
+        self.persist(&session.gripper, wear);
     }
 
     /// Returns the gripper's finger set, if it is known.
@@ -234,6 +289,17 @@ impl Wear {
 }
 
 impl GripperWear {
+    fn take_session(&mut self, session: &EndedSession) {
+        self.session_seq = session.seq;
+        let Some(set) = &mut self.finger_set else { return };
+        let SessionEnd::ServoEnded { duration_ms, travel_mm } = session.end;
+        let began_at = session.at - SignedDuration::from_millis(duration_ms.into());
+        // With other fingers than those that were mounted in its course.
+        if !(began_at..session.at).contains(&set.mounted_at) {
+            set.count_motion(false, travel_mm);
+        }
+    }
+
     fn take(&mut self, record: WearRecord, limits: Option<DriftLimits>) {
         let WearRecord { seq, started_at, kind, outcome, part_id, contact_width_mm, travel_mm, recipe_version, .. } =
             record;

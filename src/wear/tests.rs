@@ -4,7 +4,7 @@ use serde_json::{Value, json};
 
 use super::*;
 use crate::journal::{JournalLocation, NEWEST_WEIGHS, Retention};
-use crate::model::Door;
+use crate::model::{DeviceEvent, Door, ServoAdapter, ServoEnd};
 
 fn left() -> Name {
     "left".parse().unwrap()
@@ -203,6 +203,64 @@ fn grip_that_began_before_the_mount_is_not_counted() {
     assert_eq!(grip_before(SignedDuration::from_secs(20)), (0, false));
     // The clock was set back since.
     assert_eq!(grip_before(SignedDuration::from_hours(5)), (1, true));
+}
+
+/// The end of a servo session, as the journal serves it.
+fn session(seq: i64, at: Timestamp, duration_ms: u32) -> String {
+    let event = json!({"seq": seq, "at": at.to_string(), "gripper": "left", "kind": "device", "event": "servo_ended",
+        "adapter": "moves", "reason": "ended", "duration_ms": duration_ms, "accepted": 3, "superseded": 0, "refused": 0,
+        "longest_gap_ms": 20, "travel_mm": 400.0});
+    event.to_string()
+}
+
+#[test]
+fn way_of_a_servo_session_is_counted_once() {
+    let worn = Worn::with(DriftLimits::default());
+    let mounted_at = worn.mount("F-1", false).mounted_at;
+    let at = mounted_at + SignedDuration::from_secs(60);
+    worn.wear.take_session(&session(7, at, 50_000));
+    worn.wear.take_session(&session(7, at, 50_000));
+    worn.wear
+        .take_session(&json!({"seq": 8, "at": at.to_string(), "gripper": "left", "event": "restarted"}).to_string());
+    let counted = worn.wear.finger_set(&left()).unwrap();
+    assert_eq!((counted.cycles, counted.travel_mm), (0, 400.0));
+    // Began with other fingers.
+    worn.wear.take_session(&session(9, at, 61_000));
+    assert_eq!(worn.wear.finger_set(&left()).unwrap().travel_mm, 400.0);
+}
+
+#[tokio::test]
+async fn sessions_that_ended_before_a_restart_are_counted() {
+    let worn = Worn::with(DriftLimits::default());
+    worn.mount("F-1", false);
+    let journal = worn.wear.journal.clone();
+    let value = Some(serde_json::to_string(&worn.wear.known().grippers[&left()]).unwrap());
+    let mut persisted: GripperWear = serde_json::from_str(value.as_deref().unwrap()).unwrap();
+    persisted.session_seq = 1;
+    let value = Some(serde_json::to_string(&persisted).unwrap());
+    let persisted = [PersistedState { gripper: left(), key: PersistedKey::Wear, value }];
+    let ended = DeviceEvent::ServoEnded {
+        adapter: ServoAdapter::Moves,
+        reason: ServoEnd::Ended,
+        duration_ms: 0,
+        accepted: 3,
+        superseded: 0,
+        refused: 0,
+        longest_gap_ms: 20,
+        travel_mm: 400.0,
+    };
+    let (waiter, durable) = oneshot::channel();
+    let event = Event::new(Now::read().wall, Some(left()), Detail::Device(ended));
+    journal.record(Record::Event(event, Some(waiter)));
+    durable.await.unwrap();
+    let wear = Arc::new(Wear::new(journal.clone(), None, &persisted));
+    let closing = CancellationToken::new();
+    let watching = tokio::spawn(wear.clone().watch(journal.subscribe_grips(), closing.clone()));
+    while wear.finger_set(&left()).unwrap().travel_mm < 400.0 {
+        tokio::task::yield_now().await;
+    }
+    closing.cancel();
+    watching.await.unwrap();
 }
 
 #[test]

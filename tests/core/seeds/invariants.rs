@@ -287,8 +287,9 @@ impl Invariants {
             && !unconfirmed
             && stopped
             && ended
-            // A target of a servo session has no ticket.
+            // A target of a servo session has no ticket, and a series of widths can last for seconds.
             && state.command.is_none()
+            && !state.servo.as_ref().is_some_and(|servo| servo.open)
             && world.clients.all_answered()
             && world.own_changes.all_answered()
     }
