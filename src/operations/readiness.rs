@@ -20,7 +20,7 @@ pub struct Readiness {
     gateway: String,
     /// Version of the gateway.
     version: &'static str,
-    /// Whether every gripper is connected or released, the journal is writable undamaged and not
+    /// Whether every gripper is connected or released, the journal is writable, undamaged and not
     /// a restored copy, and Zenoh is connected as
     /// configured.
     pub ready: bool,

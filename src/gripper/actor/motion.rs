@@ -151,8 +151,8 @@ impl Actor {
             return;
         }
         self.link.send_stop(now, OwnStop::new(Some(id)));
-        // Elsewhere the Stop arrives after the motion.
-        if !has_arrived && self.link.properties.may_duplicate {
+        // A connection loses no Stop, and keeps it behind the motion.
+        if !has_arrived && !self.link.properties.connection_oriented {
             self.motion.may_begin_late(now.instant, id);
         }
         if let Some(running) = self.motion.get_mut(id) {

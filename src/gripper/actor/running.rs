@@ -32,7 +32,7 @@ const CONFIRMED_WITHIN: Duration = Duration::from_millis(500);
 /// Time after a motion's end for which the flags can still show movement.
 const ENDS_WITHIN: Duration = Duration::from_millis(300);
 
-/// Time for which a motion without any reply can begin late on a link that keeps no order.
+/// Time for which a motion without any reply can begin late on a link that loses frames or keeps no order.
 const BEGINS_LATE_WITHIN: Duration = Duration::from_secs(10);
 
 /// Upper bound of a travel time, whatever stroke a device reports.

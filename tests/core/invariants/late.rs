@@ -114,17 +114,19 @@ fn late_motion_that_overtakes_its_stop_is_stopped_again() {
 
 #[test]
 fn lost_stop_of_a_late_motion_is_repeated() {
-    let mut world = homed_on(Interface::Udp);
-    world.device.apply(world.now, Change::Fault { kind: FaultKind::NoReply, id: Some(id::PRE_POSITION), times: 1 });
-    let motion = move_to(50.0, 5.0);
-    assert_eq!(run(&mut world, motion.clone()).outcome, Some(Outcome::Unknown));
-    world.advance(Duration::from_millis(500));
-    world.device.apply(world.now, Change::Fault { kind: FaultKind::NoReply, id: Some(id::STOP), times: 1 });
-    deliver_again(&mut world, &motion.request());
-    world.advance(Duration::from_millis(200));
-    assert!(world.device.snapshot().moving, "the first Stop is lost");
-    world.advance(Duration::from_secs(2));
-    assert!(!world.device.snapshot().moving);
+    for interface in [Interface::Udp, Interface::Serial, Interface::Can] {
+        let mut world = homed_on(interface);
+        world.device.apply(world.now, Change::Fault { kind: FaultKind::NoReply, id: Some(id::PRE_POSITION), times: 1 });
+        let motion = move_to(50.0, 5.0);
+        assert_eq!(run(&mut world, motion.clone()).outcome, Some(Outcome::Unknown));
+        world.advance(Duration::from_millis(500));
+        world.device.apply(world.now, Change::Fault { kind: FaultKind::NoReply, id: Some(id::STOP), times: 1 });
+        deliver_again(&mut world, &motion.request());
+        world.advance(Duration::from_millis(200));
+        assert!(world.device.snapshot().moving, "the first Stop is lost");
+        world.advance(Duration::from_secs(2));
+        assert!(!world.device.snapshot().moving, "{interface:?}");
+    }
 }
 
 #[test]
