@@ -1,9 +1,9 @@
 //! Everything that a client can request, defined once for all interfaces.
 //!
 //! An [`Operation`] has a name, a path, a required right, an urgency, and a function. Each module here, in `gripper` and
-//! in `recipes` declares its own, and [`all`] lists them; HTTP paths, WebSocket methods, Zenoh command keys and the API's
-//! documents come from there. `calls` has what all of them use: `run` performs an operation for a `Caller`, and is the
-//! one place that records refused requests. `parameters` parses what clients send.
+//! in `recipes` declares its own, and [`all`] lists them; HTTP paths, WebSocket methods, Zenoh command keys, MQTT topics
+//! and the API's documents come from there. `calls` has what all of them use: `run` performs an operation for a
+//! `Caller`, and is the one place that records refused requests. `parameters` parses what clients send.
 //!
 //! Architecture invariant: an operation decides nothing about a gripper. It parses parameters into domain types and
 //! hands them to the gripper's handle. The actor refuses what a lease, a latch or a device's limit forbids.

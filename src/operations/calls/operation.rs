@@ -53,7 +53,8 @@ pub struct Operation {
     pub(in crate::operations) start: fn(Call) -> Performing,
 }
 
-/// Declares a module's operations: each as a constant, and all as `OPERATIONS`. `fingers.rs` is an example.
+/// Declares a module's operations: each as a constant, and all as `OPERATIONS`. Loop in `gripper/device.rs` is an
+/// example.
 ///
 /// The doc comment is the summary and the description in the API's documents. `run` is a [`Handler`]; its types are the
 /// parameters and the answer. `problems` is one of `problem_sets.rs`. A GET needs [`Right::Read`], any other operation
