@@ -59,6 +59,8 @@ REPLIES = {
     0x07: success(),
     0x23: success(),
     0x24: success(),
+    0x32: success(),
+    0x33: success(80),
     0x35: b"\1\0",
     0x41: b"\0\0\0",
     0x45: success(0),
