@@ -57,18 +57,17 @@ class Session:
         params = {"gripper": self.script, "width_mm": width_mm}
         self.socket.send(json.dumps({"jsonrpc": "2.0", "method": "servo.target", "params": params}))
 
-    def follow(self, widths_mm: list[float]) -> list[float]:
-        """Sends targets, and returns how far the fingers were from each when the next was due."""
-        far_mm, due = [], time.monotonic()
+    def follow(self, widths_mm: list[float]) -> list[float | None]:
+        """Sends targets, and returns how far the fingers were from each when the next was due, as far as that is known."""
+        far_mm: list[float | None] = []
+        due = time.monotonic()
         for width_mm in widths_mm:
             self.aim(width_mm)
             due = max(due + PERIOD_S, time.monotonic())
             time.sleep(max(0.0, due - time.monotonic()))
-            far_mm.append(abs(self.width_mm() - width_mm))
+            at_mm = self.gateway.state(self.script)["width_mm"]
+            far_mm.append(None if at_mm is None else abs(at_mm - width_mm))
         return far_mm
-
-    def width_mm(self) -> float:
-        return float(self.gateway.state(self.script)["width_mm"])
 
 
 @contextlib.contextmanager
@@ -82,41 +81,50 @@ def session_of(gateway: Gateway, script: str, timeout_ms: int) -> Iterator[Sessi
 WAY_MM = [60 + 20 * math.sin(step / 25) for step in range(158)]
 
 
+def width_mm(gateway: Gateway, script: str) -> float:
+    """The width of the fingers, which is unknown for a moment if other work delays the gateway."""
+    return float(until(lambda: gateway.state(script)["width_mm"]))
+
+
 def followed(steered: Gateway, script: str) -> tuple[list[float], Any]:
     """How far the fingers were from each target, and the session, which silence has ended."""
-    with session_of(steered, script, timeout_ms=500) as session:
-        session.follow([60.0] * 60)
-        far_mm = session.follow(WAY_MM)
-        report = until(lambda: (now := steered.get(f"/grippers/{script}/servo"))["open"] is False and now)
-    return far_mm, report
+    for _ in range(5):
+        with session_of(steered, script, timeout_ms=500) as session:
+            session.follow([60.0] * 60)
+            far_mm = [each_mm for each_mm in session.follow(WAY_MM) if each_mm is not None]
+            report = until(lambda: (now := steered.get(f"/grippers/{script}/servo"))["open"] is False and now)
+        # Other work on the machine can keep the client silent, or delay the gateway.
+        if report["accepted"] == 60 + len(WAY_MM) and len(far_mm) == len(WAY_MM):
+            return far_mm, report
+    raise AssertionError(report)
 
 
 @pytest.mark.parametrize("script", SCRIPTS)
 def test_fingers_follow_until_silence(steered: Gateway, script: str) -> None:
-    for _ in range(5):
-        far_mm, report = followed(steered, script)
-        # Other work on the machine can keep the client silent.
-        if report["accepted"] == 60 + len(WAY_MM):
-            break
+    far_mm, report = followed(steered, script)
     assert (report["ended"], report["adapter"], report["refused"]) == ("silence", SCRIPTS[script], 0), report
     late = sum(each_mm > 10 for each_mm in far_mm)
     assert late < 5, f"{late} times, at most {max(far_mm):.1f} mm: {report}"
     assert report["travel_mm"] > 60, report
     until(lambda: steered.state(script)["moving"] is False)
-    stopped_mm = steered.state(script)["width_mm"]
+    stopped_mm = width_mm(steered, script)
     assert 40 < stopped_mm < 80
     time.sleep(0.5)
-    assert abs(steered.state(script)["width_mm"] - stopped_mm) < 0.1
+    assert abs(width_mm(steered, script) - stopped_mm) < 0.1
 
 
+@pytest.mark.parametrize("series", [False, True])
 @pytest.mark.parametrize("script", SCRIPTS)
-def test_fingers_stay_at_a_target(steered: Gateway, script: str) -> None:
+def test_fingers_stay_at_the_last_target(steered: Gateway, script: str, series: bool) -> None:
     """The script with gains goes on with its last speed while it gets nothing."""
     with session_of(steered, script, timeout_ms=3000) as session:
         session.follow([60.0] * 60)
-        session.aim(80)
+        if series:
+            session.call("servo.follow", widths_mm=[78, 80], dt_ms=50)
+        else:
+            session.aim(80)
         time.sleep(1.5)
-        width_mm = session.width_mm()
+        rest_mm = width_mm(steered, script)
         report = session.call("servo.stop")
         assert report["ended"] == "ended", report
-        assert abs(width_mm - 80) < 2
+        assert abs(rest_mm - 80) < 2
