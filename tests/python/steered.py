@@ -156,7 +156,8 @@ class Device:
 
     def run(self, writer: asyncio.StreamWriter) -> None:
         """Runs the script for the oldest request."""
-        if not self.waiting:
+        # A client that has left gets no replies.
+        if not self.waiting or writer.is_closing():
             return
         entry, payload = self.waiting.popleft()
         now = entry[2] = time.monotonic()
