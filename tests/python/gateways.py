@@ -80,7 +80,7 @@ class Gateway(Process):
     """A gateway that keeps its port, and its journal if that is a file. It is on Zenoh if an endpoint is given."""
 
     def __init__(self, *arguments: str, journal: str = ":memory:", scheme: str = "http", port: int = 0, zenoh: str = "") -> None:
-        self.port = port or free_port()
+        self.port, self.zenoh = port or free_port(), zenoh
         self.url = f"{scheme}://127.0.0.1:{self.port}"
         flags = ["--listen", f"127.0.0.1:{self.port}"] if scheme == "http" else []
         network = ["--zenoh-listen", zenoh] if zenoh else ["--zenoh-mode", "off"]

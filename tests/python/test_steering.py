@@ -1,4 +1,4 @@
-"""Servo sessions over a WebSocket, with the simulator's scripts: the fingers follow, and silence stops them."""
+"""Servo sessions with the simulator's scripts: the fingers follow, silence stops them, and other clients do not disturb."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ import contextlib
 import itertools
 import json
 import math
+import threading
 import time
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from gateways import Gateway, running, until
+from gateways import Gateway, free_port, running, until
+from steering_rates import ServoOverZenoh, paced, zenoh_session
 from websockets.sync.client import ClientConnection, connect
 
 # The script of each gripper, and its adapter.
@@ -24,7 +26,7 @@ def steered(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
     """A gateway with a simulated gripper for each script, homed."""
     file = tmp_path_factory.mktemp("steering") / "gateway.toml"
     file.write_text("".join(section(script, adapter) for script, adapter in SCRIPTS.items()))
-    gateway = Gateway("--config", str(file))
+    gateway = Gateway("--config", str(file), zenoh=f"tcp/127.0.0.1:{free_port()}")
     with running(gateway):
         for script in SCRIPTS:
             assert gateway.post(f"/grippers/{script}/home?wait_ms=60000")["outcome"] == "SUCCESS"
@@ -128,3 +130,29 @@ def test_fingers_stay_at_the_last_target(steered: Gateway, script: str, series: 
         report = session.call("servo.stop")
         assert report["ended"] == "ended", report
         assert abs(rest_mm - 80) < 2
+
+
+def test_puts_of_another_client_cost_no_target(steered: Gateway) -> None:
+    """They are refused, and the answers to them are delayed."""
+    with zenoh_session(steered.zenoh) as session, zenoh_session(steered.zenoh) as other:
+        client = ServoOverZenoh(session, "width", "width_speed")
+        flood = other.declare_publisher("wsg/v1/gateway/width/command/servo.target")
+        flooding = threading.Event()
+        flooding.set()
+
+        def put() -> None:
+            while flooding.is_set():
+                flood.put(json.dumps({"width_mm": 50, "client": "other"}))
+                time.sleep(0.002)
+
+        thread = threading.Thread(target=put)
+        client.call("servo.start", {"timeout_ms": 5000})
+        thread.start()
+        try:
+            paced(50, 200, lambda number: client.send(client.encoded(70 + number / 64)))
+            report = client.call("servo.stop", {})
+        finally:
+            flooding.clear()
+            thread.join()
+        # Other work on the machine can let a newer target replace one.
+        assert report["accepted"] > 180, report
