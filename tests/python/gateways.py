@@ -77,13 +77,14 @@ class Process:
 
 
 class Gateway(Process):
-    """A gateway that keeps its port, and its journal if that is a file."""
+    """A gateway that keeps its port, and its journal if that is a file. It is on Zenoh if an endpoint is given."""
 
-    def __init__(self, *arguments: str, journal: str = ":memory:", scheme: str = "http", port: int = 0) -> None:
-        self.port = port or free_port()
+    def __init__(self, *arguments: str, journal: str = ":memory:", scheme: str = "http", port: int = 0, zenoh: str = "") -> None:
+        self.port, self.zenoh = port or free_port(), zenoh
         self.url = f"{scheme}://127.0.0.1:{self.port}"
         flags = ["--listen", f"127.0.0.1:{self.port}"] if scheme == "http" else []
-        super().__init__(*arguments, *flags, "--zenoh-mode", "off", "--journal", journal)
+        network = ["--zenoh-listen", zenoh] if zenoh else ["--zenoh-mode", "off"]
+        super().__init__(*arguments, *flags, *network, "--journal", journal)
 
     def start(self) -> None:
         super().start()

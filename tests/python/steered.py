@@ -59,6 +59,8 @@ REPLIES = {
     0x07: success(),
     0x23: success(),
     0x24: success(),
+    0x32: success(),
+    0x33: success(80),
     0x35: b"\1\0",
     0x41: b"\0\0\0",
     0x45: success(0),
@@ -154,7 +156,8 @@ class Device:
 
     def run(self, writer: asyncio.StreamWriter) -> None:
         """Runs the script for the oldest request."""
-        if not self.waiting:
+        # A client that has left gets no replies.
+        if not self.waiting or writer.is_closing():
             return
         entry, payload = self.waiting.popleft()
         now = entry[2] = time.monotonic()

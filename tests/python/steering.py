@@ -1,10 +1,8 @@
-"""Steers independent devices, directly and through a gateway.
+"""Steers independent devices through a gateway, whose clients are frozen, fall silent, or are stopped.
 
-usage: steering.py rate [SECONDS]             rate and age of the targets at 30, 50 and 100 Hz
-       steering.py stops [NUMBER [GRIPPERS [PERIOD_MS]]]
-                                              clients that are frozen, fall silent, or are stopped by another client, each
-                                              NUMBER times. Each Stop is counted at the device, whose script takes a
-                                              request per period
+usage: steering.py stops [NUMBER [GRIPPERS [PERIOD_MS]]]
+
+Each happens NUMBER times. Each Stop is counted at the device, whose script takes a request per period.
 """
 
 from __future__ import annotations
@@ -19,13 +17,11 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from gateways import Gateway, free_port
-from steered import ABORTED, STEER, STOP, SUCCESS, Driver, gains, width
+from steered import ABORTED, STEER, STOP, SUCCESS, Driver, width
 
 SILENCE_S = 0.5
 # Longest delay of a Stop after this time.
@@ -73,87 +69,6 @@ def gateway_of(ports: list[int], directory: str) -> tuple[Gateway, list[int]]:
     gateway = Gateway("--config", str(file))
     gateway.start()
     return gateway, own
-
-
-def paced(hz: float, seconds: float, act: Callable[[int], None]) -> None:
-    """Calls `act` at a rate. A late call is not caught up."""
-    due = time.monotonic()
-    for number in range(round(hz * seconds)):
-        time.sleep(max(0.0, due - time.monotonic()))
-        act(number)
-        due = max(due + 1 / hz, time.monotonic())
-
-
-def closed(port: int, hz: float, seconds: float, target: Callable[[float, float], bytes]) -> dict[float, float]:
-    """Sends targets, and waits for each reply. Returns the time of each target."""
-    driver, sent = Driver(port), {}
-
-    def act(number: int) -> None:
-        value = 20 + number / 64
-        sent[value] = time.monotonic()
-        assert driver.ask(target(value, 10))[0] == SUCCESS
-
-    paced(hz, seconds, act)
-    driver.send(b"", 0x07)
-    return sent
-
-
-def open_loop(port: int, hz: float, seconds: float, target: Callable[[float, float], bytes]) -> dict[float, float]:
-    """Sends targets without waiting for replies, which another thread reads."""
-    driver, sent, count = Driver(port), {}, round(hz * seconds)
-    reader = threading.Thread(target=lambda: [driver.next() for _ in range(count)], daemon=True)
-    reader.start()
-
-    def act(number: int) -> None:
-        value = 20 + number / 64
-        sent[value] = time.monotonic()
-        driver.send(target(value, 10))
-
-    paced(hz, seconds, act)
-    reader.join(10)
-    driver.send(b"", 0x07)
-    return sent
-
-
-def measure(devices: Devices, device: int, send: Callable[[], dict[float, float]]) -> tuple[int, list[float]]:
-    """The number of targets that a client sent, and their ages in ms when the script took them."""
-    first = len(devices.log(device))
-    sent = send()
-    time.sleep(0.1)
-    taken = [entry for entry in devices.log(device, first) if entry[0] == STEER]
-    return len(sent), [(entry[2] - sent[entry[3]]) * 1000 for entry in taken]
-
-
-def shown(ages: list[float]) -> tuple[float, float, float]:
-    ages = sorted(ages)
-    return ages[len(ages) // 2], ages[int(len(ages) * 0.99)], ages[-1]
-
-
-def rate(seconds: float) -> None:
-    fast, slow = Devices(2, 0.005), Devices(2, 0.025)
-    with tempfile.TemporaryDirectory() as directory:
-        gateway, ports = gateway_of([fast.ports[1], slow.ports[1]], directory)
-        try:
-            for name, target in (("9 bytes", width), ("25 bytes", gains)):
-                for hz in (30, 50, 100):
-                    # In turns, so that other work on the machine meets both.
-                    found: dict[str, tuple[int, list[float]]] = {"direct": (0, []), "gateway": (0, [])}
-                    for _ in range(4):
-                        for way, device, port in (("direct", 0, fast.ports[0]), ("gateway", 1, ports[0])):
-                            count, ages = measure(fast, device, partial(closed, port, hz, seconds / 4, target))
-                            found[way] = (found[way][0] + count, found[way][1] + ages)
-                    for way, (count, ages) in found.items():
-                        p50, p99, most = shown(ages)
-                        share = len(ages) / (hz * seconds)
-                        print(f"{name}, {hz} Hz, {way}: rate {share:.3f}, age p50 {p50:.3f} ms, p99 {p99:.3f} ms, most {most:.2f} ms ({count})")
-            for way, device, port in (("direct", 0, slow.ports[0]), ("gateway", 1, ports[1])):
-                count, ages = measure(slow, device, partial(open_loop, port, 100, 5, width))
-                p50, p99, most = shown(ages)
-                print(f"open loop at 100 Hz, script of 25 ms, {way}: {len(ages)} of {count} taken, age p50 {p50:.1f} ms, p99 {p99:.1f} ms, most {most:.1f} ms")
-        finally:
-            fast.kill()
-            slow.kill()
-            gateway.kill()
 
 
 def steer(port: int, hz: float, jitter_s: float) -> None:
@@ -308,8 +223,6 @@ def stops(number: int, grippers: int, period_ms: int) -> bool:
 
 def main() -> None:
     match sys.argv[1:]:
-        case ["rate", *more]:
-            rate(float(more[0]) if more else 20)
         case ["stops", *more]:
             number, grippers, period_ms = [int(value) for value in more] + [100, 20, 5][len(more) :]
             sys.exit(0 if stops(number, grippers, period_ms) else 1)
