@@ -15,6 +15,10 @@ use wsg::{Speed, Width};
 /// Time between two targets that the gateway interpolates.
 const INTERPOLATED_EVERY: Duration = Duration::from_millis(10);
 
+/// Time after which a script that moves on with its last speed gets the same width again. It is longer than the time
+/// between the targets of a client at 30 Hz, which then do not wait for repeated ones.
+const REPEATED_EVERY: Duration = Duration::from_millis(50);
+
 /// Longest time that one step of a ramp stands for: the fingers stood still before it.
 const MAX_RAMP_STEP: Duration = Duration::from_millis(50);
 
@@ -239,17 +243,15 @@ impl ServoSession {
     /// Time at which the device can get the next target, if there is one.
     pub(super) fn sends_at(&self) -> Option<Instant> {
         let plan = self.plan.as_ref().filter(|_| self.is_ready)?;
-        match (&plan.aim, self.sent) {
-            (_, None) => Some(plan.begins_at),
-            (ServoAim::Width(_), Some(_)) if !plan.is_sent => Some(plan.begins_at),
-            (ServoAim::Width(width), Some(sent)) => {
-                let is_on_the_way = self.is_ramped() && (sent.aim.width_mm - width.mm()).abs() > SAME_WIDTH_MM;
-                is_on_the_way.then(|| sent.at + INTERPOLATED_EVERY)
-            }
-            (ServoAim::Widths(..), Some(sent)) => {
-                let is_over = plan.is_sent && sent.at >= plan.ends_at();
-                (!is_over).then(|| plan.begins_at.max(sent.at + INTERPOLATED_EVERY))
-            }
+        let Some(sent) = self.sent else { return Some(plan.begins_at) };
+        if plan.is_sent && sent.at >= plan.ends_at() {
+            let is_on_the_way = (sent.aim.width_mm - plan.last_mm()).abs() > SAME_WIDTH_MM;
+            let pause = if is_on_the_way { INTERPOLATED_EVERY } else { REPEATED_EVERY };
+            return self.is_ramped().then(|| sent.at + pause);
+        }
+        match plan.aim {
+            ServoAim::Width(_) => Some(plan.begins_at),
+            ServoAim::Widths(..) => Some(plan.begins_at.max(sent.at + INTERPOLATED_EVERY)),
         }
     }
 

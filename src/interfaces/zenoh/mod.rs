@@ -128,8 +128,7 @@ impl Declarations {
                 continue;
             }
             let queryables = self.queries.declare_gripper(session, handle.name()).await?;
-            let targets =
-                ServoTargets::declare(session, &self.keys, &context.gateway, &context.metrics, handle.name()).await?;
+            let targets = ServoTargets::declare(session, &self.keys, context, handle.name()).await?;
             let publications = Publications::declare(session, &self.keys, &handle).await?;
             let publishing = context.runtimes.publications.spawn(publications.run(context.clone(), self.max_hz));
             let publishing = AbortOnDropHandle::new(publishing);

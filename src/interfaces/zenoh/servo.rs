@@ -1,21 +1,24 @@
-//! Targets of servo sessions via a put, which gets no answer. A newer one replaces one that waits.
+//! Targets of servo sessions via a put, which gets no answer. A newer one replaces one of the same client that waits.
 
-use std::sync::Arc;
+use std::collections::{HashMap, HashSet};
+use std::sync::{Arc, Mutex, PoisonError};
 
+use futures_util::FutureExt as _;
+use futures_util::stream::{FuturesUnordered, StreamExt as _};
 use serde_json::{Map, Value};
-use tokio::sync::watch;
+use tokio::sync::Notify;
 use tokio_util::task::AbortOnDropHandle;
 use zenoh::pubsub::Subscriber;
 
 use super::client::{client, identity};
 use super::payloads::body;
 use crate::access::Credential;
-use crate::connections::metrics::InterfaceMetrics;
 use crate::fleet::TOKEN;
 use crate::fleet::keys::{MAX_CLIENT_BYTES, ZenohKeys};
+use crate::interfaces::Context;
 use crate::model::{Client, Door, Name, ShownName};
 use crate::operations::gripper::servo;
-use crate::operations::{self, Caller, Gateway, Method, Operation};
+use crate::operations::{self, Caller, Gateway, Method, Operation, Problem};
 
 /// Fields that are parameters of the selector in a query.
 const CLIENT: &str = "client";
@@ -33,60 +36,102 @@ pub struct ServoTargets {
     _running: AbortOnDropHandle<()>,
 }
 
-/// The newest put.
-#[derive(Debug, Clone)]
+/// Most clients whose puts wait at the same time, and most whose puts are executed. A put of a further one is lost.
+const MAX_CLIENTS: usize = 16;
+
+/// The fields of a put that say who the client is: `client` and `token`.
+type PutClient = (Option<String>, Option<String>);
+
+fn client_of(fields: &Map<String, Value>) -> PutClient {
+    (field(fields, CLIENT), field(fields, TOKEN))
+}
+
+fn field(fields: &Map<String, Value>, key: &str) -> Option<String> {
+    fields.get(key)?.as_str().map(ToOwned::to_owned)
+}
+
+#[derive(Debug)]
 struct Put {
     operation: &'static Operation,
-    payload: Vec<u8>,
+    fields: Result<Map<String, Value>, Problem>,
+}
+
+/// The newest put of each client, until it is executed. So the puts of a client that does not steer, and the delayed
+/// answers to them, cost the client that steers no target.
+#[derive(Debug, Default)]
+struct NewestPuts {
+    waiting: Mutex<HashMap<PutClient, Put>>,
+    added: Notify,
+}
+
+impl NewestPuts {
+    fn add(&self, operation: &'static Operation, payload: &[u8]) {
+        let fields = body(payload);
+        let client = fields.as_ref().map(client_of).unwrap_or_default();
+        let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
+        if waiting.len() < MAX_CLIENTS || waiting.contains_key(&client) {
+            waiting.insert(client, Put { operation, fields });
+        }
+        self.added.notify_one();
+    }
+
+    /// Takes puts of other clients than these, as many as can be executed.
+    fn take_except(&self, busy: &HashSet<PutClient>) -> Vec<(PutClient, Put)> {
+        let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
+        let free = MAX_CLIENTS.saturating_sub(busy.len());
+        waiting.extract_if(|client, _| !busy.contains(client)).take(free).collect()
+    }
 }
 
 impl ServoTargets {
-    /// Subscribes to the keys of a gripper, on the caller's runtime.
+    /// Subscribes to the keys of a gripper. Targets are executed on the runtime of the sockets, like those over WebSocket:
+    /// its one thread wakes no other one first.
     pub async fn declare(
         session: &zenoh::Session,
         keys: &ZenohKeys,
-        gateway: &Arc<Gateway>,
-        metrics: &InterfaceMetrics,
+        context: &Context,
         gripper: &Name,
     ) -> zenoh::Result<Self> {
-        let newest = watch::Sender::new(None);
-        let running = tokio::spawn(run(newest.subscribe(), gateway.clone(), metrics.clone(), gripper.clone()));
+        let newest = Arc::new(NewestPuts::default());
+        let running = context.runtimes.sockets.spawn(run(newest.clone(), context.clone(), gripper.clone()));
         let mut subscribers = Vec::new();
         for operation in PUTS {
             let newest = newest.clone();
             let subscriber = session.declare_subscriber(keys.command(Some(gripper), operation.name));
-            subscribers.push(
-                subscriber
-                    .callback(move |sample| {
-                        let payload = sample.payload().to_bytes().into_owned();
-                        newest.send_replace(Some(Put { operation, payload }));
-                    })
-                    .await?,
-            );
+            subscribers
+                .push(subscriber.callback(move |sample| newest.add(operation, &sample.payload().to_bytes())).await?);
         }
         Ok(Self { _subscribers: subscribers, _running: AbortOnDropHandle::new(running) })
     }
 }
 
-/// Executes the newest put, one at a time, until there can be no further one.
-async fn run(
-    mut newest: watch::Receiver<Option<Put>>,
-    gateway: Arc<Gateway>,
-    metrics: InterfaceMetrics,
-    gripper: Name,
-) {
-    while newest.changed().await.is_ok() {
-        let Some(Put { operation, payload }) = newest.borrow_and_update().clone() else { continue };
-        let result = match body(&payload) {
-            Ok(fields) => {
-                let (caller, params) = request(&gateway, fields, &gripper);
-                operations::call(&gateway, caller, Method::from(operation), Value::Object(params)).await
-            }
-            Err(problem) => Err(problem),
-        };
-        let status = result.map_or_else(|problem| problem.status().as_u16(), |_| 200);
-        metrics.answered(Some(operation.name), "PUT", status);
+/// Executes the newest puts, one of each client at a time.
+async fn run(newest: Arc<NewestPuts>, context: Context, gripper: Name) {
+    let mut running = FuturesUnordered::new();
+    let mut busy = HashSet::new();
+    loop {
+        for (client, put) in newest.take_except(&busy) {
+            busy.insert(client.clone());
+            running.push(execute(put, &context, &gripper).map(move |()| client));
+        }
+        tokio::select! {
+            () = newest.added.notified() => {}
+            Some(client) = running.next() => { busy.remove(&client); }
+        }
     }
+}
+
+async fn execute(put: Put, context: &Context, gripper: &Name) {
+    let operation = put.operation;
+    let result = match put.fields {
+        Ok(fields) => {
+            let (caller, params) = request(&context.gateway, fields, gripper);
+            operations::call(&context.gateway, caller, Method::from(operation), Value::Object(params)).await
+        }
+        Err(problem) => Err(problem),
+    };
+    let status = result.map_or_else(|problem| problem.status().as_u16(), |_| 200);
+    context.metrics.answered(Some(operation.name), "PUT", status);
 }
 
 /// The caller and the parameters of a put. `client` and `token` stand beside the parameters.

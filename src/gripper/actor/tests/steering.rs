@@ -309,6 +309,11 @@ fn script_without_a_limit_of_speed_gets_widths_on_the_way_after_its_force_limit(
     assert_eq!(rig.script_got().last().map(|(mm, _)| *mm), Some(2.5));
     let steps = rig.script_got();
     assert!(steps.windows(2).all(|pair| (pair[1].0 - pair[0].0).abs() <= 1.001), "{steps:?}");
+    // The script would go on with its last speed, past the target.
+    rig.aim(2.5).unwrap();
+    rig.pass_moving(190);
+    let repeated = &rig.script_got()[steps.len()..];
+    assert_eq!(repeated.iter().map(|(mm, _)| *mm).collect::<Vec<_>>(), [2.5; 4], "every 50 ms");
 }
 
 #[test]
