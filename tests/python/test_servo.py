@@ -184,7 +184,7 @@ def test_lost_lease_ends_the_session(connect: Connect, cell: Cell, loss: str) ->
 
 
 def test_series_is_played(connect: Connect, cell: Cell) -> None:
-    with steering(connect, cell) as (_, gripper, servo):
+    with steering(connect, cell) as (_, _, servo):
         started, seen = time.monotonic(), set()
         servo.follow([60, 55, 50, 45, 40], dt_ms=100)
         until(lambda: seen.add(servo.applied_mm) or servo.applied_mm == 40)
@@ -212,7 +212,7 @@ def test_wrong_values_are_refused_here(connect: Connect, cell: Cell) -> None:
         with pytest.raises(ValueError, match="the widths need 200 mm/s: max_speed_mm_s is 100"):
             servo.follow([30, 34], dt_ms=20)
         with pytest.raises(ValueError, match="no time zone"):
-            servo.target(30, at=datetime(2026, 1, 1))  # noqa: DTZ001
+            servo.target(30, at=datetime(2026, 1, 1))
         with pytest.raises(Refused, match="already_running"):
             gripper.move(50)
         with pytest.raises(Refused, match="already_running"), gripper.servo(adapter="width_speed"):

@@ -197,7 +197,7 @@ class Steering:
 
 
 def width(width_mm: float) -> float:
-    """A width in mm, also from an array. A number that is none would be no JSON."""
+    """Checks a width in mm. A number of an array becomes a `float`, which JSON can hold, and NaN is refused."""
     if not 0 <= width_mm <= LARGEST_MM:
         raise ValueError(f"a width of {width_mm} mm: it must be a number from 0 to the stroke of the gripper")
     return float(width_mm)
