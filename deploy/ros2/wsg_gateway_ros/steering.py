@@ -57,8 +57,10 @@ class Steering:
     def _run(self, token: object) -> None:
         try:
             with self._motions.turn(token) as control:
-                self._reason = self._steer(control, token)
-            self._log(f"steering has ended: {self._reason}")
+                # Targets that come before the end of this block ask the session itself.
+                reason = self._steer(control, token)
+            self._reason = reason
+            self._log(f"steering has ended: {reason}")
         except (GatewayError, TimeoutError, ValueError) as error:
             self._reason = "refused"
             self._log(f"steering did not begin: {error}")
