@@ -37,9 +37,9 @@ class Steering:
         now = time.monotonic()
         pause_s, self._heard_at = now - self._heard_at, now
         self._newest_mm = width_mm
-        if self._session is not None:
+        if (session := self._session) is not None:
             try:
-                return self._session.target(width_mm)
+                return session.target(width_mm)
             except ServoEnded as ended:
                 self._reason = ended.reason
         # A Stop of somebody holds until the publisher pauses: its next target would otherwise follow a moment later.
