@@ -36,6 +36,7 @@ NAMES = {
     "ProposedLimits": "ProposedLimits",
     "Lease": "Lease",
     "Info": "Info",
+    "ServoReport": "ServoReport",
 }
 EVENTS = {ref.rpartition("/")[2] for ref in SCHEMAS["StoredEvent"]["discriminator"]["mapping"].values()}
 NAMES |= {name: name for name in sorted(EVENTS)}

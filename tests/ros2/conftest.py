@@ -114,6 +114,8 @@ class Client:
         return self.wait(client.call_async(Trigger.Request()))
 
     def close(self) -> None:
+        for timer in self.node.timers:
+            timer.cancel()
         self.executor.shutdown(1)
         self.node.destroy_node()
 

@@ -6,6 +6,7 @@ from ._errors import (
     ControlLost,
     GatewayError,
     Refused,
+    ServoEnded,
     StopUnconfirmed,
     StreamEnded,
     UnexpectedOutcome,
@@ -13,8 +14,8 @@ from ._errors import (
     ValueUnknown,
 )
 from ._model import OtherEvent, columns
-from ._sync import Control, Gateway, Gripper, Recipes, Records, Stream, connect
-from ._types import Code, Curve, Event, EventKind, GripRecord, Info, Motion, Outcome, Recipe, State
+from ._sync import Control, Gateway, Gripper, Recipes, Records, Servo, Stream, connect
+from ._types import Code, Curve, Event, EventKind, GripRecord, Info, Motion, Outcome, Recipe, ServoReport, State
 
 __version__ = "0.2.0"
 
@@ -40,6 +41,9 @@ __all__ = [
     "Recipes",
     "Records",
     "Refused",
+    "Servo",
+    "ServoEnded",
+    "ServoReport",
     "State",
     "StopUnconfirmed",
     "Stream",

@@ -175,23 +175,28 @@ class ControlCore:
             return
         self._lost = (reason, holder)
         self.core.holders.discard(self)
-        self.losses.put(self._loss())
+        self.losses.put(self.loss())
 
-    def _loss(self) -> ControlLost:
+    def loss(self) -> ControlLost:
+        """Returns why the lease is lost."""
         reason, holder = self._lost or ("", None)
         return ControlLost(self.gripper, reason, holder)
 
     async def call(self, method: str, **params: Any) -> Any:
         """Sends a request that needs the lease."""
         if not self.is_held:
-            raise self._loss()
+            raise self.loss()
         try:
             return await self.core.main.call(method, gripper=self.gripper, lease=self._token, **params)
         except Refused as refused:
             if refused.code != "stale_lease":
                 raise
             self.lose("the gateway does not know it any more", refused.holder)
-            raise self._loss() from refused
+            raise self.loss() from refused
+
+    async def notify(self, method: str, **params: Any) -> None:
+        """Sends a request that needs the lease, and gets no answer."""
+        await self.core.main.notify(method, gripper=self.gripper, lease=self._token, **params)
 
     async def move(self, kind: str, **params: Any) -> Motion:
         """Carries out a motion, and returns it when it has ended. Sends it once, whatever happens."""

@@ -7,6 +7,7 @@ import contextlib
 import logging
 import time
 from collections import OrderedDict
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -79,6 +80,9 @@ class Core:
         self.stops = Link(address, self.context)
         self.journal_id: str | None = None
         self.holders: set[Holder] = set()
+        self.servos: set[Callable[[str, dict[str, Any] | None], None]] = set()
+        """Take the name of a gripper, and the servo session that is open there, whenever the gateway pushes it."""
+        self._subscribed = list(topics)
         self._queues: dict[str, set[Queue[Any]]] = {topic: set() for topic in TOPICS}
         self._waiting: dict[str, asyncio.Future[dict[str, Any]]] = {}
         self._ended: OrderedDict[str, dict[str, Any]] = OrderedDict()
@@ -190,9 +194,9 @@ class Core:
     async def _opened(self) -> None:
         """Subscribes, and finds out with which journal the gateway runs."""
         before, self.journal_id = self.journal_id, None
-        if not self.topics:
+        if not self._subscribed:
             return
-        answer = await self.main.call("subscribe", topics=list(self.topics), max_hz=self.max_hz)
+        answer = await self._subscribe()
         for state in answer["states"]:
             self._stated(state)
         self.journal_id = await self._journal_id()
@@ -201,6 +205,15 @@ class Core:
             self._seqs.clear()
         self._count_missed("events", answer["event_seq"] + 1)
         self._seqs["events"] = answer["event_seq"]
+
+    async def _subscribe(self) -> Any:
+        return await self.main.call("subscribe", topics=self._subscribed, max_hz=self.max_hz)
+
+    async def watch_servos(self) -> None:
+        """Subscribes to the topic with servo sessions, too, from the first session on."""
+        if "telemetry" not in self._subscribed:
+            self._subscribed.append("telemetry")
+            await self._subscribe()
 
     async def _journal_id(self) -> str | None:
         try:
@@ -224,6 +237,9 @@ class Core:
         """Takes a notification."""
         if method == "state":
             self._stated(params)
+        elif method == "telemetry":
+            for take in tuple(self.servos):
+                take(params["gripper"], params.get("servo"))
         elif method == "event":
             self._seqs["events"] = max(params["seq"], self._seqs.get("events", 0))
             self._put("events", params.get("gripper"), event(params))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
 from concurrent.futures import Future
 from typing import Any, TypeVar
 
@@ -39,6 +39,12 @@ class Engine:
                 coroutine.close()
                 raise EngineClosed("this gateway is closed: call connect again")
             return asyncio.run_coroutine_threadsafe(coroutine, self.loop)
+
+    def wake(self, callback: Callable[[], None]) -> None:
+        """Calls back in the thread soon, unless it ends. Nobody waits for that."""
+        with self._lock:
+            if not self._is_stopping:
+                self.loop.call_soon_threadsafe(callback)
 
     def stop(self) -> None:
         """Ends the thread, after everybody who waits for it has an answer."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 if TYPE_CHECKING:
     from ._model import Result
-    from ._types import Code
+    from ._types import Code, ServoEnd
 
 
 class GatewayError(Exception):
@@ -73,6 +73,23 @@ class ControlLost(GatewayError):
         self.holder = holder
         """Name of the new holder, if there is one."""
         super().__init__(f"control of {gripper} is lost: {reason}. Read the state, then take control again")
+
+
+class ServoEnded(GatewayError):
+    """The servo session has ended, and the gateway has stopped the fingers. The target of this call was not sent.
+
+    To continue, make sure that the fingers may move, and begin a new session.
+    """
+
+    def __init__(self, gripper: str, reason: ServoEnd, detail: str) -> None:
+        """Says why."""
+        self.gripper = gripper
+        """Name of the gripper."""
+        self.reason = reason
+        """What ended the session, such as `silence` or `fast_stop`."""
+        self.detail = detail
+        """The reason, for people."""
+        super().__init__(f"the servo session of {gripper} has ended ({reason}): {detail}. Read the state, then begin a new one")
 
 
 class ValueUnknown(GatewayError):

@@ -25,6 +25,8 @@ PING_S, PONG_S = 1.0, 3.0
 ANSWER_S = 10.0
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.05, 1.0
 LARGEST_MESSAGE = 16 * 2**20
+# Time between two looks at a network that is slow.
+TAKEN_S = 0.005
 
 Notify = Callable[[str, dict[str, Any]], None]
 
@@ -106,6 +108,18 @@ class Link:
         if "error" in message:
             raise Refused(message["error"].get("data") or {"detail": message["error"].get("message", "")})
         return message["result"]
+
+    async def notify(self, method: str, /, **params: Any) -> None:
+        """Sends a request that gets no answer. Waits until the network has taken what was sent before."""
+        if (socket := self._socket) is None:
+            raise Unreachable(f"no connection to {self._address.url}: {self.error}")
+        sent = {key: value for key, value in params.items() if value is not None}
+        try:
+            await socket.send(json.dumps({"jsonrpc": "2.0", "method": method, "params": sent}))
+            while socket.transport.get_write_buffer_size() > 0:
+                await asyncio.sleep(TAKEN_S)
+        except ConnectionClosed as error:
+            raise ConnectionLost(f"the connection ended during {method}: {error}") from error
 
     async def _run(self) -> None:
         pause = FIRST_PAUSE_S

@@ -854,6 +854,49 @@ class Info(Model):
 
 
 @dataclass(frozen=True, slots=True)
+class ServoReport(Model):
+    """A servo session, open or ended."""
+
+    accepted: int
+    """Number of accepted targets."""
+    adapter: ServoAdapter
+    """Way in which targets reach the fingers."""
+    applied_age_ms: float | None
+    """Age of that target when the device answered it, in ms; null before the first."""
+    applied_at: datetime | None
+    """Time at which the device answered it, in UTC with microseconds; null before the first."""
+    applied_mm: float | None
+    """Newest target width in mm that the device has answered; null before the first."""
+    by: str
+    """Subject of the client that steers."""
+    ended: ServoEnd | None
+    longest_gap_ms: int
+    """Longest time between two accepted targets, in ms."""
+    max_speed_mm_s: float
+    """Greatest speed of a target in mm/s."""
+    open: bool
+    """Whether the session is open."""
+    rate_hz: float | None
+    """Targets per second that this device takes while further ones wait, measured in this session or the last one
+    with the same adapter; null if never measured.
+    """
+    refused: int
+    """Number of refused targets."""
+    started_at: datetime
+    """Time at which the session began."""
+    superseded: int
+    """Number of accepted targets that a newer one has replaced before they were sent."""
+    target_mm: float | None
+    """Newest target width in mm; null before the first."""
+    timeout_ms: int
+    """Silence after which the session ends with a Stop, in ms."""
+    travel_mm: float
+    """Way that the fingers have travelled, in mm."""
+
+    _times: ClassVar[frozenset[str]] = frozenset(['applied_at', 'started_at'])
+
+
+@dataclass(frozen=True, slots=True)
 class AcknowledgeEvent(Model):
     """Result of an acknowledgement."""
 

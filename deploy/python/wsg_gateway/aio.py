@@ -18,6 +18,7 @@ from ._engine import Engine, EngineClosed
 from ._errors import ControlLost, StreamEnded
 from ._reads import Reads
 from ._records import Records as RecordsCore
+from ._servo import Steering
 from ._stream import Queue
 from ._types import (
     Curve,
@@ -34,6 +35,7 @@ from ._types import (
     Outcome,
     ProposedLimits,
     Recipe,
+    ServoAdapter,
     State,
 )
 
@@ -344,6 +346,23 @@ class Control(Gripper):
         speed = self._speed(width_mm, speed_mm_s, recipe)
         return await self._motion("release", width_mm=width_mm, speed_mm_s=speed, part_id=part_id, recipe=recipe)
 
+    def servo(
+        self,
+        *,
+        max_speed_mm_s: float = 100.0,
+        timeout_ms: int = 200,
+        force_n: float | None = None,
+        adapter: ServoAdapter | None = None,
+    ) -> Servo:
+        """Steers the fingers by many targets a second, for a block: the newest target wins. It is not a safety function.
+
+        `max_speed_mm_s` is the greatest speed in mm/s. Without a target for `timeout_ms` (20 to 10,000 ms), the gateway
+        stops the fingers and ends the session. `force_n` is the force limit in N. `adapter` says how targets reach the
+        fingers, by default as the gateway's configuration says. Other motions are refused meanwhile.
+        """
+        terms = {"max_speed_mm_s": max_speed_mm_s, "timeout_ms": timeout_ms, "force_n": force_n, "adapter": adapter}
+        return Servo(self._engine, self._lease, terms)
+
     async def acknowledge_fault(self) -> None:
         """Acknowledges a fault without a FAST STOP. Moves nothing. Call it only when a person says so."""
         await self.command("acknowledge")
@@ -362,6 +381,20 @@ class Control(Gripper):
 
     async def _motion(self, kind: str, **params: Any) -> Motion:
         return await call(self._engine, self._lease.move(kind, **params))
+
+
+class Servo(Steering):
+    """A servo session, for a block. Its end stops the fingers and waits until they stand still, also after an exception."""
+
+    async def __aenter__(self) -> Servo:
+        """Begins the session. Raises `Refused`, or `ControlLost` if the lease is lost."""
+        await call(self._engine, self._begin())
+        return self
+
+    async def __aexit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        """Ends the session, and stops the fingers. If the gateway does not answer, silence does this."""
+        with contextlib.suppress(EngineClosed):  # The gateway was closed, which has given the lease up.
+            await call(self._engine, self._end())
 
 
 class Stream(Generic[T]):

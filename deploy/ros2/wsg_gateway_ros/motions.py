@@ -21,7 +21,7 @@ class Motions:
     def __init__(self, gripper: Gripper, terms: dict[str, Any], keeps_control: bool, log: Callable[[str], None]) -> None:
         """Takes control of `gripper` by these terms: for each motion, or for good if `keeps_control`."""
         self._gripper, self._terms, self._keeps_control, self._log = gripper, terms, keeps_control, log
-        self._turn = threading.Lock()
+        self._turn, self._announcing = threading.Lock(), threading.Lock()
         self._threads = ThreadPoolExecutor(1, "motion")
         self._newest: object = None
         self._kept: Control | None = None
@@ -31,7 +31,32 @@ class Motions:
 
     def announce(self, goal: object) -> None:
         """Lets the goal that runs give way to this one."""
-        self._newest = goal
+        with self._announcing:
+            self._newest = goal
+
+    def announce_if_idle(self, token: object) -> bool:
+        """Announces steering, unless a goal runs or waits for its turn. Returns whether it is announced."""
+        with self._announcing:
+            if self._newest is not None:
+                return False
+            self._newest = token
+            return True
+
+    @contextmanager
+    def _finishing(self, goal: object) -> Iterator[None]:
+        """Lets steering begin when this goal has ended, unless a newer one was announced."""
+        try:
+            yield
+        finally:
+            with self._announcing:
+                if self._newest is goal:
+                    self._newest = None
+
+    @contextmanager
+    def turn(self, token: object) -> Iterator[Control]:
+        """Takes control for steering that was announced, once no goal runs any more."""
+        with self._finishing(token), self._turn, self._control() as control:
+            yield control
 
     def is_newest(self, goal: object) -> bool:
         """Whether no newer goal was announced."""
@@ -49,7 +74,7 @@ class Motions:
         def is_over() -> bool:
             return is_cancelled() or not self.is_newest(goal)
 
-        with self._turn:
+        with self._finishing(goal), self._turn:
             motion = self._threads.submit(self._controlled, move, is_over)
             while not motion.done():
                 # Before, a Stop would stop the fingers for another client.

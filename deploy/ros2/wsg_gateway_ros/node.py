@@ -1,10 +1,10 @@
-"""Node for one gripper: actions, joint states, diagnostics and services. `deploy/guide/ros2.md` explains it."""
+"""Node for one gripper: actions, steering, joint states, diagnostics and services. `deploy/guide/ros2.md` explains it."""
 
 from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,16 +15,19 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
-from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
+from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from rclpy.time import Time
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
 from .health import status
 from .motions import Motions
 from .order import Order, Values
+from .steering import Steering
 
 # Parameters with their defaults.
 PARAMETERS: dict[str, Any] = {
@@ -45,9 +48,14 @@ PARAMETERS: dict[str, Any] = {
     "control_timeout": 5.0,
     "on_loss_moving": "fast_stop",
     "on_loss_holding": "keep",
+    "steering": False,
+    "steering_timeout": 0.2,
+    "steering_force": 0.0,
 }
 CLOCK_S = 60.0
 THREADS = 8
+# A target that is lost is not sent again: the next one is newer. Publishers of any reliability fit.
+TARGETS = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 
 
 class GripperNode(Node):
@@ -112,6 +120,21 @@ class GripperNode(Node):
             "acknowledge": self._acknowledge,
         }.items():
             self.create_service(Trigger, f"~/{name}", self._service(name, call), callback_group=ReentrantCallbackGroup())
+        if self._value("steering"):
+            self._serve_steering()
+
+    def _serve_steering(self) -> None:
+        terms = {"max_speed_mm_s": self._value("speed") * 1000, "timeout_ms": round(self._value("steering_timeout") * 1000)}
+        steering = Steering(self._motions, terms | {"force_n": self._value("steering_force") or None}, self._inform)
+
+        def steer(message: Float64MultiArray) -> None:
+            try:
+                steering.target(self._width_mm(message.data))
+            except ValueError as error:
+                self.get_logger().warning(f"target ignored: {error}", throttle_duration_sec=1.0)
+
+        group = MutuallyExclusiveCallbackGroup()
+        self.create_subscription(Float64MultiArray, "~/commands", steer, TARGETS, callback_group=group)
 
     # Values that are pushed.
 
@@ -162,16 +185,25 @@ class GripperNode(Node):
         return self._order(goal.command.position * scale, self._value("speed") * 1000, force)
 
     def _joint_order(self, goal: ParallelGripperCommand.Goal) -> Order:
-        if len(goal.command.position) != 1:
-            raise ValueError(f"{len(goal.command.position)} positions: send one, that of {self._value('joint')}")
+        width_mm = self._width_mm(goal.command.position)
         speed_mm_s = goal.command.velocity[0] * 2000 if goal.command.velocity else self._value("speed") * 1000
-        return self._order(goal.command.position[0] * 2000, speed_mm_s, goal.command.effort[0] if goal.command.effort else None)
+        return self._order(width_mm, speed_mm_s, goal.command.effort[0] if goal.command.effort else None)
 
-    def _order(self, width_mm: float, speed_mm_s: float, force_n: float | None) -> Order:
-        """The motion for a goal. Raises `ValueError` beyond the limits of the parameters."""
+    def _width_mm(self, positions: Sequence[float]) -> float:
+        """The width for the position of the joint in m. Raises `ValueError` beyond the limits of the parameters."""
+        if len(positions) != 1:
+            raise ValueError(f"{len(positions)} positions: send one, that of {self._value('joint')}")
+        self._check_width(width_mm := positions[0] * 2000)
+        return width_mm
+
+    def _check_width(self, width_mm: float) -> None:
         largest = self._value("max_width") * 1000 or self._info.stroke_mm or float("inf")
         if not self._value("min_width") * 1000 <= width_mm <= largest:
             raise ValueError(f"a width of {width_mm:g} mm: it must be from {self._value('min_width') * 1000:g} to {largest:g}")
+
+    def _order(self, width_mm: float, speed_mm_s: float, force_n: float | None) -> Order:
+        """The motion for a goal. Raises `ValueError` beyond the limits of the parameters."""
+        self._check_width(width_mm)
         if force_n is not None and force_n > (self._value("max_force") or float("inf")):
             raise ValueError(f"an effort of {force_n:g} N: it must be at most {self._value('max_force'):g}")
         return Order(width_mm, speed_mm_s, force_n, self._value("closing") == "clamp")
@@ -298,6 +330,9 @@ class GripperNode(Node):
 
     def _warn(self, message: str) -> None:
         self.get_logger().warning(message)
+
+    def _inform(self, message: str) -> None:
+        self.get_logger().info(message)
 
     def close(self) -> None:
         """Gives control up, and closes the connections. Moving fingers stop."""

@@ -52,10 +52,6 @@ impl Actor {
         let may_hold = self.observed.values.state(now.instant).is_none_or(|state| state == GripperState::Holding);
         if let Some(running) = self.motion.get_mut(id) {
             running.may_have_held = may_hold;
-            if sent.is_ok() && !running.is_streamed {
-                // A Stop for the end of a stream could end this motion, or let its part go.
-                self.streaming.watch_ended();
-            }
         }
         self.set_stage(now, id, sent.map(Stage::Sent));
     }
@@ -99,6 +95,11 @@ impl Actor {
     pub(super) fn motion_accepted(&mut self, id: CommandId) {
         if let Some(running) = self.motion.get_mut(id) {
             running.accepted = true;
+            if !running.is_streamed {
+                // A Stop for the end of a stream could end this motion, or let its part go. A motion that the device refuses
+                // leaves the fingers to a script that moves them, so they are watched further.
+                self.streaming.watch_ended();
+            }
             // The motion releases the held part, or grips it again.
             self.observed.part = HeldPart::default();
             self.commands.accepted(id);

@@ -97,6 +97,23 @@ fn end_of_a_session_does_not_stop_the_next_motion() {
 }
 
 #[test]
+fn fingers_that_move_on_are_stopped_although_a_motion_was_refused() {
+    let mut rig = steered();
+    rig.aim(30.0).unwrap();
+    rig.steer(Steer::Stop).unwrap();
+    rig.device.held = [id::GRIP].into();
+    let width = Width::new(20.0).unwrap();
+    let speed = Speed::new(50.0).unwrap();
+    let grip = Motion::Grip { width, speed, force: None, part_id: None, recipe: None, is_reference: false };
+    rig.submit_by("another", Action::Motion(grip)).unwrap();
+    rig.pass_moving(60);
+    assert_eq!((rig.count(id::GRIP), rig.count(id::STOP)), (1, 1));
+    rig.reply(id::GRIP, Status::E_ALREADY_RUNNING, &[]);
+    rig.pass_moving(100);
+    assert_eq!(rig.count(id::STOP), 2);
+}
+
+#[test]
 fn fingers_that_do_not_stop_after_a_take_over_get_more_stops() {
     let mut rig = steered();
     rig.aim(30.0).unwrap();
