@@ -15,6 +15,10 @@ use crate::webhooks::{WebhookProgress, Webhooks};
 /// nobody.
 const FAILING_FOR: Duration = Duration::from_mins(1);
 
+/// Time that a new connection to the MQTT broker has to last before its outage is over. A broker that is too slow, or
+/// that refuses some messages, answers at first, and is lost again within 30 s.
+const BROKER_LASTS_FOR: Duration = Duration::from_secs(45);
+
 /// Flags of the device that raise alarms.
 const FLAGS: [(&str, AlarmKind); 6] = [
     ("TEMP_FAULT", AlarmKind::TemperatureFault),
@@ -34,10 +38,28 @@ const FAULTS: [(Fault, AlarmKind); 2] =
 pub struct BrokerOutage {
     /// Time of the first failure.
     pub since: Instant,
+    /// Time at which the connection was opened again; `None` while it is down.
+    pub connected_at: Option<Instant>,
+    /// Whether the connection was lost again soon after it was opened.
+    pub has_relapsed: bool,
     /// URL of the broker.
     pub broker: Arc<str>,
     /// The newest failure, with its remedy.
     pub cause: Arc<str>,
+}
+
+impl BrokerOutage {
+    /// Whether the connection has lasted since it was opened again.
+    #[must_use]
+    pub fn is_over(&self, now: Instant) -> bool {
+        self.connected_at.is_some_and(|at| now.saturating_duration_since(at) >= BROKER_LASTS_FOR)
+    }
+
+    /// Whether the connection is down, or is likely to be lost again.
+    #[must_use]
+    pub fn is_felt(&self) -> bool {
+        self.connected_at.is_none() || self.has_relapsed
+    }
 }
 
 /// Returns a cause that is a text.
@@ -75,11 +97,12 @@ pub(super) fn of_webhooks(webhooks: &Webhooks, now: Instant, conditions: &mut Co
     }
 }
 
-/// Adds a broker that has been away for too long. Records wait in the journal.
+/// Adds a broker that has been away for too long, or is lost again and again. Records wait in the journal.
 pub(super) fn of_broker(outage: Option<&BrokerOutage>, now: Instant, conditions: &mut Conditions) {
-    let Some(BrokerOutage { since, broker, cause }) = outage else { return };
-    if now.saturating_duration_since(*since) >= FAILING_FOR {
-        add_named(AlarmKind::MqttFailing, broker, cause, conditions);
+    let Some(outage) = outage else { return };
+    let is_long = now.saturating_duration_since(outage.since) >= FAILING_FOR;
+    if is_long && outage.is_felt() && !outage.is_over(now) {
+        add_named(AlarmKind::MqttFailing, &outage.broker, &outage.cause, conditions);
     }
 }
 

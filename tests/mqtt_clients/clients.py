@@ -1,5 +1,5 @@
-"""Clients that nobody here wrote: paho, aiomqtt and MQTT.js. Checks state, records, commands and FAST STOP with Mosquitto.
-"""
+"""Clients that nobody here wrote: paho, aiomqtt and MQTT.js. Checks state, records, commands and FAST STOP with Mosquitto,
+as docker-compose.yml configures it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import paho.mqtt.client as mqtt
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
-from rig import Broker, Gateway, compare, guide_subscriber, temporary_directory, until
+from rig import SIMULATED, Broker, Gateway, broker_section, compare, compose_settings, guide_subscriber, temporary_directory, until
 
 PREFIX = "wsg/cell"
 
@@ -79,8 +79,8 @@ async def with_aiomqtt(broker: Broker) -> None:
 
 def main() -> None:
     with temporary_directory() as directory:
-        broker = Broker(directory)
-        gateway = Gateway(directory, broker, 2, "commands = true\nfast_stop = true")
+        broker = Broker(directory, settings=compose_settings())
+        gateway = Gateway(directory, [SIMULATED] * 2, broker_section(broker.url, "commands = true\nfast_stop = true"))
         try:
             for gripper in gateway.names:
                 state = f"/api/v1/grippers/{gripper}/state"

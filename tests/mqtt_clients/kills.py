@@ -15,7 +15,7 @@ import paho.mqtt.client as mqtt
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
-from rig import Broker, Gateway, Load, compare, guide_subscriber, temporary_directory, until
+from rig import SIMULATED, Broker, Gateway, Load, broker_section, compare, guide_subscriber, temporary_directory, until
 
 PREFIX = "wsg/cell"
 LISTS = ("events", "grips")
@@ -32,6 +32,8 @@ class Arrivals:
         client.on_connect = lambda client, *_: client.subscribe(
             [(f"{PREFIX}/events", 1), (f"{PREFIX}/+/events", 1), (f"{PREFIX}/+/grips", 1)]
         )
+        self.is_subscribed = threading.Event()
+        client.on_subscribe = lambda *_: self.is_subscribed.set()
         client.reconnect_delay_set(1, 2)
         session = Properties(PacketTypes.CONNECT)
         session.SessionExpiryInterval = 86400
@@ -60,11 +62,14 @@ def main() -> None:
     kills = int(sys.argv[1])
     with temporary_directory() as directory:
         broker = Broker(directory)
-        gateway = Gateway(directory, broker, 4)
+        gateway = Gateway(directory, [SIMULATED] * 4, broker_section(broker.url))
         try:
             with guide_subscriber(directory, broker, PREFIX) as database:
                 until("the subscriber", database.exists)
                 arrivals = Arrivals(broker)
+                assert arrivals.is_subscribed.wait(30)
+                # The subscriber of the guide has begun earlier.
+                broker.save()
                 load = Load(gateway, 0.05)
                 begin = time.monotonic()
                 for _ in range(kills):

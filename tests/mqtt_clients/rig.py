@@ -18,12 +18,15 @@ import time
 import urllib.parse
 import urllib.request
 from pathlib import Path
-from typing import Any, Callable, Iterator
+from typing import Any, Callable, Iterator, Sequence
 
-GUIDE = Path(__file__).parents[2] / "deploy/guide/mqtt.md"
+DEPLOY = Path(__file__).parents[2] / "deploy"
+GUIDE = DEPLOY / "guide/mqtt.md"
+COMPOSED = DEPLOY / "compose/mosquitto.conf"
 MOSQUITTO = os.environ["MOSQUITTO"]
 GATEWAY = os.environ["WSG_GATEWAY_PROGRAM"]
 WITHIN_S = 60
+SIMULATED = "sim://wsg50?part_mm=20"
 
 
 @contextlib.contextmanager
@@ -50,20 +53,33 @@ def free_port() -> int:
         return server.getsockname()[1]
 
 
-class Broker:
-    """Mosquitto with the settings of the guide. It can be killed and started again."""
+def guide_settings() -> str:
+    """Mosquitto's settings in the guide."""
+    return re.search(r"^```conf\n(.*?)^```", GUIDE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)[1]
 
-    def __init__(self, directory: Path) -> None:
+
+def compose_settings() -> str:
+    """Mosquitto's settings in docker-compose.yml, apart from what the test sets itself."""
+    text = COMPOSED.read_text(encoding="utf-8")
+    for line in ("listener 1883\n", "allow_anonymous true\n"):
+        assert line in text
+        text = text.replace(line, "")
+    return text
+
+
+class Broker:
+    """Mosquitto with these settings, and with these lines before them. It can be killed and started again."""
+
+    def __init__(self, directory: Path, lines: str = "", settings: str = "") -> None:
         self.port = free_port()
-        guide = GUIDE.read_text(encoding="utf-8")
-        settings = re.search(r"^```conf\n(.*?)^```", guide, re.DOTALL | re.MULTILINE)[1]
-        store = directory / "mosquitto"
-        store.mkdir()
-        settings = settings.replace("/var/lib/mosquitto/", f"{store}/")
+        self._store = directory / "mosquitto"
+        self._store.mkdir()
+        settings = settings or guide_settings()
+        settings = re.sub("(?m)^persistence_location .*$", f"persistence_location {self._store}/", settings)
         self._file = directory / "mosquitto.conf"
         user = "user root\n" if os.geteuid() == 0 else ""
         self._file.write_text(
-            f"listener {self.port} 127.0.0.1\nallow_anonymous true\n{user}{settings}", encoding="utf-8"
+            f"listener {self.port} 127.0.0.1\nallow_anonymous true\n{lines}\n{user}{settings}", encoding="utf-8"
         )
         self.start()
 
@@ -72,6 +88,15 @@ class Broker:
             [MOSQUITTO, "-c", str(self._file)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
         until("Mosquitto", lambda: socket.create_connection(("127.0.0.1", self.port), 1).close() or True)
+
+    def save(self) -> None:
+        """Waits until the sessions that exist now are on disk."""
+        now = time.time()
+        until("a saved session", lambda: (self._store / "mosquitto.db").stat().st_mtime > now)
+
+    @property
+    def url(self) -> str:
+        return f"mqtt://127.0.0.1:{self.port}"
 
     def kill(self) -> None:
         self._process.kill()
@@ -84,30 +109,56 @@ class Broker:
         self._process.send_signal(signal.SIGCONT)
 
 
-class Gateway:
-    """A gateway with simulated grippers and a journal that outlasts it."""
+class Simulators:
+    """Simulated grippers in a process of their own, so that their processor time is not the gateway's."""
 
-    def __init__(self, directory: Path, broker: Broker, grippers: int, lines: str = "") -> None:
+    def __init__(self, directory: Path, count: int) -> None:
+        self._file = directory / "simulators.log"
+        with open(self._file, "w", encoding="utf-8") as file:
+            command = [GATEWAY, "sim", *["tcp://127.0.0.1:0"] * count, "--part-mm", "20"]
+            self._process = subprocess.Popen(command, stdout=file, stderr=file)
+        self.urls: list[str] = until("simulated grippers", lambda: self._addresses(count))
+
+    def _addresses(self, count: int) -> list[str] | None:
+        found = re.findall(r"tcp://\S+", self._file.read_text(encoding="utf-8"))
+        return found if len(found) == count else None
+
+    def kill(self) -> None:
+        self._process.kill()
+        self._process.wait()
+
+
+def broker_section(url: str, lines: str = "") -> str:
+    return f'[mqtt]\nbroker = "{url}"\n{lines}\n'
+
+
+class Gateway:
+    """A gateway with grippers at these URLs, and a journal that outlasts it. `mqtt` is the section of its configuration."""
+
+    def __init__(self, directory: Path, urls: Sequence[str], mqtt: str) -> None:
+        directory.mkdir(exist_ok=True)
         self._directory = directory
         self.port = free_port()
-        self.names = [f"g{index}" for index in range(grippers)]
-        sections = "".join(f'[grippers.{name}]\nurl = "sim://wsg50?part_mm=20"\n' for name in self.names)
+        self.names = [f"g{index}" for index in range(len(urls))]
+        sections = "".join(f'[grippers.{name}]\nurl = "{url}"\n' for name, url in zip(self.names, urls))
         self._file = directory / "gateway.toml"
         self._file.write_text(
             f'name = "cell"\nlisten = "127.0.0.1:{self.port}"\njournal = "{directory}/journal.db"\n'
-            f'[zenoh]\nmode = "off"\n[mqtt]\nbroker = "mqtt://127.0.0.1:{broker.port}"\n{lines}\n{sections}',
+            f'[zenoh]\nmode = "off"\n{mqtt}{sections}',
             encoding="utf-8",
         )
         self.start()
 
     def start(self) -> None:
-        log = open(self._directory / "gateway.log", "a", encoding="utf-8")
         environment = {key: value for key, value in os.environ.items() if not key.startswith("WSG_GATEWAY")}
-        self._process = subprocess.Popen(
-            [GATEWAY, "--config", str(self._file)], stdout=log, stderr=log, env=environment
-        )
-        log.close()
+        with open(self._directory / "gateway.log", "a", encoding="utf-8") as log:
+            self._process = subprocess.Popen(
+                [GATEWAY, "--config", str(self._file)], stdout=log, stderr=log, env=environment
+            )
         until("the gateway", lambda: self.get("/healthz") is not None)
+
+    def log(self) -> str:
+        return (self._directory / "gateway.log").read_text(encoding="utf-8")
 
     @property
     def pid(self) -> int:
@@ -150,32 +201,51 @@ class Gateway:
         return sum(float(line.rsplit(" ", 1)[1]) for line in lines if re.match(rf"{name}(\{{|\s)", line))
 
     def processor_s(self) -> float:
-        return self.metric("process_cpu_seconds_total")
+        """User and system time of the process."""
+        with open(f"/proc/{self.pid}/stat", encoding="ascii") as file:
+            fields = file.read().rsplit(")", 1)[1].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    def peak_mb(self) -> float:
+        """Largest resident memory of the process so far."""
+        with open(f"/proc/{self.pid}/status", encoding="ascii") as file:
+            return int(re.search(r"VmHWM:\s+(\d+) kB", file.read())[1]) * 1024 / 1e6
 
 
 class Load:
-    """Grips and releases on all grippers, with a pause after each motion, whatever happens to the gateway."""
+    """Grips and releases on grippers, whatever happens to the gateway: with a pause after each motion, or so many grips a
+    minute of all grippers together."""
 
-    def __init__(self, gateway: Gateway, pause_s: float) -> None:
-        self.grips = 0
+    def __init__(self, gateway: Gateway, pause_s: float = 0, names: Sequence[str] = (), grips_a_minute: float = 0) -> None:
+        self.took_ms: list[float] = []
         self._gateway = gateway
         self._pause_s = pause_s
         self._is_over = threading.Event()
-        self._threads = [threading.Thread(target=self._run, args=(name,)) for name in gateway.names]
+        names = names or gateway.names
+        self._period_s = 60 * len(names) / grips_a_minute if grips_a_minute else 0
+        self._threads = [threading.Thread(target=self._run, args=(name,)) for name in names]
         for thread in self._threads:
             thread.start()
+
+    @property
+    def grips(self) -> int:
+        return len(self.took_ms)
 
     def _run(self, name: str) -> None:
         while not self._is_over.is_set():
             with contextlib.suppress(OSError, http.client.HTTPException, KeyError):
                 path = f"/grippers/{name}"
                 self._gateway.post(f"{path}/home?wait_ms=20000", {})
+                due = time.monotonic()
                 while not self._is_over.is_set():
+                    begin = time.monotonic()
                     grip = self._gateway.post(f"{path}/grip?wait_ms=20000", {"width_mm": 20, "speed_mm_s": 200, "part_id": f"part-{name}"})
-                    self.grips += grip["phase"] == "done"
+                    if grip["phase"] == "done":
+                        self.took_ms.append((time.monotonic() - begin) * 1000)
                     self._is_over.wait(self._pause_s)
                     self._gateway.post(f"{path}/release?wait_ms=20000", {"width_mm": 23, "speed_mm_s": 200})
-                    self._is_over.wait(self._pause_s)
+                    due += self._period_s
+                    self._is_over.wait(max(self._pause_s, due - time.monotonic()))
             self._is_over.wait(0.1)
 
     def end(self) -> None:

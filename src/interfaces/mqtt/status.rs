@@ -23,12 +23,13 @@ pub(super) struct MqttStatus {
     broker: Arc<str>,
     pub(super) metrics: MqttMetrics,
     outage: watch::Sender<Option<BrokerOutage>>,
-    /// Failures of each connection since it was up.
+    /// Failures of each connection until it has lasted.
     failures: Mutex<BTreeMap<ConnectionPurpose, Failures>>,
 }
 
 #[derive(Debug, Clone)]
 struct Failures {
+    /// Number of failures since the connection was up.
     count: u32,
     outage: BrokerOutage,
 }
@@ -42,9 +43,13 @@ impl MqttStatus {
     /// Notes that a connection works.
     pub(super) fn connected(&self, purpose: ConnectionPurpose) {
         self.metrics.connected(purpose, true);
-        let failures = self.change(|failures| failures.remove(&purpose));
+        let attempts = self.change(|failures| {
+            let failures = failures.get_mut(&purpose)?;
+            failures.outage.connected_at = Some(Now::read().instant);
+            Some(std::mem::take(&mut failures.count))
+        });
+        let attempts = attempts.unwrap_or_default();
         let broker = &*self.broker;
-        let attempts = failures.map_or(0, |failures| failures.count);
         tracing::info!(broker, connection = purpose.name(), attempts, "MQTT connected");
     }
 
@@ -54,9 +59,13 @@ impl MqttStatus {
         self.metrics.failed(purpose);
         let error = failure.to_string();
         let count = self.change(|failures| {
-            let since = failures.get(&purpose).map_or_else(|| Now::read().instant, |before| before.outage.since);
-            let count = failures.get(&purpose).map_or(1, |before| before.count.saturating_add(1));
-            let outage = BrokerOutage { since, broker: self.broker.clone(), cause: error.as_str().into() };
+            let before = failures.remove(&purpose);
+            let earlier = before.as_ref().map(|before| &before.outage);
+            let since = earlier.map_or_else(|| Now::read().instant, |earlier| earlier.since);
+            let has_relapsed = earlier.is_some_and(|earlier| earlier.has_relapsed || earlier.connected_at.is_some());
+            let count = before.as_ref().map_or(0, |before| before.count).saturating_add(1);
+            let cause = error.as_str().into();
+            let outage = BrokerOutage { since, connected_at: None, has_relapsed, broker: self.broker.clone(), cause };
             failures.insert(purpose, Failures { count, outage });
             count
         });
@@ -71,11 +80,14 @@ impl MqttStatus {
         pause
     }
 
-    /// Changes the failures, and shows the longest outage to the alarms.
+    /// Forgets outages that are over, changes the failures, and shows the longest outage to the alarms.
     fn change<T>(&self, change: impl FnOnce(&mut BTreeMap<ConnectionPurpose, Failures>) -> T) -> T {
+        let now = Now::read().instant;
         let mut failures = self.failures.lock().unwrap_or_else(PoisonError::into_inner);
+        failures.retain(|_, failures| !failures.outage.is_over(now));
         let result = change(&mut failures);
-        let longest = failures.values().map(|failures| &failures.outage).min_by_key(|outage| outage.since);
+        let outages = failures.values().map(|failures| &failures.outage);
+        let longest = outages.min_by_key(|outage| (!outage.is_felt(), outage.since));
         self.outage.send_replace(longest.cloned());
         result
     }

@@ -211,6 +211,7 @@ async fn guides_name_all_that_a_user_can_set_or_see() {
 /// Words of other programs, of this one's URLs and registers, and metrics that the gateway here lacks, which the guides
 /// show as code.
 const OTHER_WORDS: &[&str] = &[
+    "autosave_on_changes",
     "bound_to",
     "checksum_evaluation",
     "clean_start",
