@@ -89,6 +89,8 @@ struct Sent {
     command: CommandId,
     aim: Aim,
     at: Instant,
+    /// Time at which this width was sent for the first time.
+    same_since: Instant,
     answered_at: Option<Instant>,
     /// Whether the motion was ended for a newer target.
     is_ended_early: bool,
@@ -251,7 +253,11 @@ impl ServoSession {
         }
         match plan.aim {
             ServoAim::Width(_) => Some(plan.begins_at),
-            ServoAim::Widths(..) => Some(plan.begins_at.max(sent.at + INTERPOLATED_EVERY)),
+            ServoAim::Widths(..) => {
+                let begins_at = plan.begins_at.max(sent.at + INTERPOLATED_EVERY);
+                // Until the series begins, a ramped script has to get the width that it has.
+                Some(if self.is_ramped() { begins_at.min(sent.at + REPEATED_EVERY) } else { begins_at })
+            }
         }
     }
 
@@ -263,10 +269,15 @@ impl ServoSession {
     /// The target that the device gets now, with fingers at `width_mm`, if that is known.
     pub(super) fn due(&self, now: Instant, width_mm: Option<f32>) -> Option<DueTarget> {
         let plan = self.plan.as_ref().filter(|_| self.sends_at().is_some_and(|at| at <= now))?;
-        let aim = plan.aim_at(now);
+        let aim = self.aim(plan, now);
         let to_mm = if self.is_ramped() { self.ramped(now, aim.width_mm, plan.speed, width_mm) } else { aim.width_mm };
         let width = Width::new(to_mm).ok()?;
         Some(DueTarget { width, speed: plan.speed })
+    }
+
+    /// What the fingers are to reach now. Until a series begins, that is what they have to reach already.
+    fn aim(&self, plan: &Plan, now: Instant) -> Aim {
+        self.sent.filter(|_| now < plan.begins_at).map_or_else(|| plan.aim_at(now), |sent| sent.aim)
     }
 
     /// The width on the way to a target that the fingers may have reached by now.
@@ -280,15 +291,19 @@ impl ServoSession {
     /// Notes that the device gets the target that was due.
     pub(super) fn sent(&mut self, now: Instant, command: CommandId, target: DueTarget) {
         let due_at = self.sends_at();
-        let Some(plan) = &mut self.plan else { return };
-        let aim = Aim { width_mm: target.width.mm(), ..plan.aim_at(now) };
-        plan.is_sent = true;
+        let same_since = self.same_since().filter(|_| self.has_target(target)).unwrap_or(now);
+        let Some(plan) = &self.plan else { return };
+        let aim = Aim { width_mm: target.width.mm(), ..self.aim(plan, now) };
+        let has_begun = now >= plan.begins_at;
+        if let Some(plan) = &mut self.plan {
+            plan.is_sent |= has_begun;
+        }
         if let Some(before) = self.sent.filter(|before| before.answered_at > due_at) {
             // The target has waited for the device.
             let interval = now.saturating_duration_since(before.at).as_secs_f32();
             self.report.rate_hz = Some(smoothed(self.report.rate_hz, 1.0 / interval.max(0.001)));
         }
-        self.sent = Some(Sent { command, aim, at: now, answered_at: None, is_ended_early: false });
+        self.sent = Some(Sent { command, aim, at: now, same_since, answered_at: None, is_ended_early: false });
     }
 
     /// Whether the device is at this target already, or moves towards it.
@@ -335,6 +350,11 @@ impl ServoSession {
     /// Time of the newest target that the device got.
     pub(super) fn last_sent_at(&self) -> Option<Instant> {
         self.sent.map(|sent| sent.at)
+    }
+
+    /// Time at which the device got the width of the newest target for the first time.
+    pub(super) fn same_since(&self) -> Option<Instant> {
+        self.sent.map(|sent| sent.same_since)
     }
 
     pub(super) fn travelled(&mut self, mm: f32) {

@@ -185,6 +185,7 @@ impl Actor {
         if effect == LossEffect::Finish {
             // The motion may go on, also one whose result a lost link has made unknown.
             self.link.owed_stop.take_if(|stop| stop.lost.is_none());
+            self.motion.forget_late();
         }
         let name = &held.holder.name;
         tracing::warn!(gripper = %self.config.name, holder = %name, %cause, %effect, "lease holder lost");

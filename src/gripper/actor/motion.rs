@@ -96,9 +96,13 @@ impl Actor {
         if let Some(running) = self.motion.get_mut(id) {
             running.accepted = true;
             if !running.is_streamed {
-                // A Stop for the end of a stream could end this motion, or let its part go. A motion that the device refuses
-                // leaves the fingers to a script that moves them, so they are watched further.
+                // A Stop for the end of a stream could end this motion, or let its part go. A motion that the device
+                // refuses leaves the fingers to a script that moves them, so they are watched further.
                 self.streaming.watch_ended();
+            }
+            if !self.link.properties.may_duplicate {
+                // The link keeps the order, so what was written earlier has arrived, or never will.
+                self.motion.forget_late();
             }
             // The motion releases the held part, or grips it again.
             self.observed.part = HeldPart::default();
@@ -115,6 +119,9 @@ impl Actor {
             // A script may reply without an E_CMD_PENDING before.
             End::Reply(Reply::Success(Data::Custom(payload))) => {
                 running.payload = Some(payload);
+                if !running.is_streamed {
+                    self.streaming.watch_ended();
+                }
                 (Outcome::Success, Some(Status::E_SUCCESS))
             }
             End::Reply(reply) if running.accepted => {
@@ -226,7 +233,7 @@ impl Actor {
                     // An accepted motion cannot act later: it acts now, and its holder has said what a loss means.
                     running.is_stopped_behind = true;
                     self.link.owed_stop = Some(OwnStop::new(Some(running.id)));
-                    if self.link.properties.may_duplicate {
+                    if !self.link.properties.connection_oriented {
                         self.motion.may_begin_late(now.instant, running.id);
                     }
                 }

@@ -169,8 +169,8 @@ pub(super) struct MotionState {
     /// The last motion and the same time, if its result is unknown and no flags have shown since that the fingers stand
     /// still.
     unseen: Option<(CommandId, Instant)>,
-    /// Time until which a motion without any reply can begin late, although a Stop was sent behind it: datagrams can
-    /// overtake each other.
+    /// Time until which a motion without any reply can begin late, although a Stop was sent behind it: on links without
+    /// a connection, the Stop can be lost or overtaken.
     begins_late: Option<(CommandId, Instant)>,
 }
 
@@ -320,6 +320,11 @@ impl MotionState {
     pub(super) fn takes_late_motion(&mut self, now: Instant) -> Option<CommandId> {
         self.unseen = Some(self.begins_late.take()?);
         self.unseen.filter(|(_, until)| now < *until).map(|(id, _)| id)
+    }
+
+    /// Forgets the motion that can begin late.
+    pub(super) fn forget_late(&mut self) {
+        self.begins_late = None;
     }
 
     /// Forgets the motions of a device that another one replaces.

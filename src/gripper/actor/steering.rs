@@ -306,26 +306,29 @@ impl Actor {
     /// Ends the session, and stops what it moves.
     pub(super) fn stop_servo(&mut self, now: Now, why: ServoEnd) {
         let Some(session) = &self.servo.session else { return };
-        let last_sent_at = session.last_sent_at();
+        let sent = session.last_sent_at().zip(session.same_since());
         self.end_servo(now, why);
-        let Some(last_sent_at) = last_sent_at else { return };
+        let Some((last_sent_at, same_since)) = sent else { return };
         self.withdraw_waiting_motion(now);
-        if self.motion.is_under_way() || self.may_move_by_target(now, last_sent_at) {
+        if self.may_move_by_target(now, last_sent_at, same_since) {
             self.link.send_stop(now, OwnStop::new(self.motion.mover(now.instant)));
         }
     }
 
-    /// Whether a target that was sent at this time can move the fingers. The flags show the motion later.
-    fn may_move_by_target(&self, now: Now, sent_at: Instant) -> bool {
+    /// Whether a target that was sent at this time, and for the first time at `same_since`, can move the fingers. The
+    /// flags show the motion later.
+    fn may_move_by_target(&self, now: Now, sent_at: Instant, same_since: Instant) -> bool {
         if self.observed.has(SystemState::MOVING) {
             return true;
         }
-        // Flags from before the motion still count as known.
-        let shows_rest = self.observed.values.flags.arrived_at() > Some(sent_at + streaming::MOVES_WITHIN);
         // A Stop could let a held part go. The target can have let go of a part that was held before.
-        let holds =
-            self.observed.values.is_holding(now.instant) && self.observed.values.state.arrived_at() > Some(sent_at);
-        !holds && !shows_rest
+        let values = &self.observed.values;
+        if values.is_holding(now.instant) && values.state.arrived_at() > Some(same_since) {
+            return false;
+        }
+        // Flags from before the motion still count as known.
+        let shows_rest = values.flags.arrived_at() > Some(sent_at + streaming::MOVES_WITHIN);
+        self.motion.is_under_way() || !shows_rest
     }
 
     /// Ends a session without its lease.

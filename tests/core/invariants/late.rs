@@ -130,6 +130,38 @@ fn lost_stop_of_a_late_motion_is_repeated() {
 }
 
 #[test]
+fn motion_that_begins_after_its_link_was_lost_is_stopped() {
+    let mut world = homed_on(Interface::Serial);
+    world.device.apply(world.now, Change::Fault { kind: FaultKind::NoReply, id: Some(id::PRE_POSITION), times: 1 });
+    let motion = move_to(50.0, 5.0);
+    let running = start(&mut world, motion.clone());
+    world.advance(Duration::from_millis(200));
+    world.disconnected("unplugged");
+    assert_eq!(finish(&mut world, &running).outcome, Some(Outcome::Unknown));
+    world.advance(Duration::from_secs(2));
+    assert!(!world.device.snapshot().moving && world.is_connected());
+    deliver_again(&mut world, &motion.request());
+    world.advance(Duration::from_millis(500));
+    assert!(!world.device.snapshot().moving);
+}
+
+#[test]
+fn late_motion_is_not_expected_after_a_newer_one() {
+    for interface in [Interface::Serial, Interface::Can] {
+        let mut world = homed_on(interface);
+        world.device.apply(world.now, Change::Fault { kind: FaultKind::NoReply, id: Some(id::PRE_POSITION), times: 1 });
+        assert_eq!(run(&mut world, move_to(50.0, 20.0)).outcome, Some(Outcome::Unknown));
+        world.advance(Duration::from_millis(500));
+        assert_eq!(run(&mut world, move_to(60.0, 200.0)).outcome, Some(Outcome::Success));
+        let from = mark(&world);
+        world.device.apply(world.now, Change::MoveBySomebody { width_mm: 80.0, speed_mm_s: 10.0 });
+        world.advance(Duration::from_secs(1));
+        assert!(world.device.snapshot().moving);
+        assert!(!received(&world, from).contains(&id::STOP), "{interface:?}");
+    }
+}
+
+#[test]
 fn motion_of_somebody_else_after_a_lost_request_is_not_stopped() {
     let mut world = homed_on(Interface::Tcp);
     world.device.apply(world.now, Change::Fault { kind: FaultKind::NoReply, id: Some(id::PRE_POSITION), times: 1 });

@@ -58,7 +58,7 @@ impl Rig {
 
     /// Sends a target for this time in ms from now.
     fn aim_at(&mut self, ms: i64) -> Result<ServoReport, Rejection> {
-        let at = Some(self.now.wall + SignedDuration::from_millis(ms));
+        let at = Some(time_in(self, ms));
         self.steer(Steer::Aim(ServoTarget { at, ..target(30.0) }))
     }
 
@@ -86,6 +86,11 @@ impl Rig {
             self.moving();
         }
     }
+}
+
+/// The time in ms from now.
+fn time_in(rig: &Rig, ms: i64) -> jiff::Timestamp {
+    rig.now.wall + SignedDuration::from_millis(ms)
 }
 
 fn float(payload: &[u8], from: usize) -> f32 {
@@ -314,6 +319,26 @@ fn script_without_a_limit_of_speed_gets_widths_on_the_way_after_its_force_limit(
     rig.pass_moving(190);
     let repeated = &rig.script_got()[steps.len()..];
     assert_eq!(repeated.iter().map(|(mm, _)| *mm).collect::<Vec<_>>(), [2.5; 4], "every 50 ms");
+}
+
+#[test]
+fn script_without_a_limit_of_speed_gets_its_width_until_a_later_series_begins() {
+    let mut rig = unsteered(ServoAdapter::PositionPd);
+    rig.start(ServoTerms { force: Some(Force::new(20.0).unwrap()), ..terms() }).unwrap();
+    rig.aim(30.0).unwrap();
+    rig.pass_moving(100);
+    let before = rig.script_got();
+    let aim = ServoAim::Widths([20.0, 21.0].map(|mm| Width::new(mm).unwrap()).into(), Duration::from_millis(100));
+    let at = Some(time_in(&rig, 500));
+    rig.steer(Steer::Aim(ServoTarget { aim, speed: None, at })).unwrap();
+    rig.pass_moving(400);
+    let repeated: Vec<_> = rig.script_got()[before.len()..].iter().map(|(mm, _)| *mm).collect();
+    assert!(
+        repeated.len() >= 7 && repeated.iter().all(|mm| Some(mm) == before.last().map(|(mm, _)| mm)),
+        "{repeated:?}"
+    );
+    rig.pass_moving(400);
+    assert_eq!(rig.script_got().last().map(|(mm, _)| *mm), Some(21.0));
 }
 
 #[test]

@@ -2,6 +2,7 @@
 
 use super::*;
 use model::{CommandId, LossCause, OnLossMoving, RequestId};
+use wsg::CustomCommand;
 
 impl Rig {
     fn standing(&mut self) {
@@ -111,6 +112,35 @@ fn fingers_that_move_on_are_stopped_although_a_motion_was_refused() {
     rig.reply(id::GRIP, Status::E_ALREADY_RUNNING, &[]);
     rig.pass_moving(100);
     assert_eq!(rig.count(id::STOP), 2);
+}
+
+#[test]
+fn end_of_a_session_does_not_stop_the_next_script() {
+    let mut rig = steered();
+    rig.aim(30.0).unwrap();
+    rig.steer(Steer::Stop).unwrap();
+    // It answers at once that it has ended, and its fingers move.
+    rig.submit_by("another", Action::Motion(Motion::Custom(CustomCommand::new(0xB7, Vec::new()).unwrap()))).unwrap();
+    rig.pass_moving(400);
+    assert_eq!((rig.count(0xB7), rig.count(id::STOP)), (1, 1));
+}
+
+#[test]
+fn part_that_is_held_while_its_target_is_repeated_is_kept() {
+    let mut rig = unsteered(ServoAdapter::PositionPd);
+    rig.standing();
+    rig.start(ServoTerms { force: Some(Force::new(20.0).unwrap()), ..terms() }).unwrap();
+    rig.aim(1.0).unwrap();
+    // A slow line carries the state seldom.
+    for step in 0..60 {
+        rig.pass(10);
+        rig.standing();
+        if step % 13 == 0 {
+            rig.reply(id::GET_GRIPPER_STATE, Status::E_SUCCESS, &[4]);
+        }
+    }
+    assert!(rig.script_got().len() > 3);
+    assert_eq!((rig.servo().ended, rig.count(id::STOP)), (Some(ServoEnd::Silence), 0));
 }
 
 #[test]
