@@ -42,7 +42,7 @@ const MAX_CHARTS: usize = 64;
 const CAUGHT_UP_AT_ONCE: u64 = 1000;
 
 /// Pause after events could not be read from the journal.
-const READ_AGAIN_AFTER: Duration = Duration::from_secs(1);
+const READ_AGAIN_AFTER: Duration = Duration::from_secs(10);
 
 /// Longest time from the start of a motion to its record: the slowest motion takes 42 s (210 mm at 5 mm/s). If a motion
 /// seems to have begun earlier before the mount, the clock was set back.
@@ -139,6 +139,7 @@ impl Wear {
     /// Follows grip records and servo sessions until the gateway closes.
     pub async fn watch(self: Arc<Self>, mut grips: Receiver<Arc<GripUpdate>>, closing: CancellationToken) {
         let mut sessions = self.sessions();
+        let mut reads_at = tokio::time::Instant::now();
         self.catch_up().await;
         loop {
             tokio::select! {
@@ -149,13 +150,14 @@ impl Wear {
                     Err(RecvError::Lagged(_)) => self.catch_up().await,
                     Err(RecvError::Closed) => return,
                 },
-                item = sessions.next() => match item {
+                () = tokio::time::sleep_until(reads_at), if tokio::time::Instant::now() < reads_at => {}
+                item = sessions.next(), if tokio::time::Instant::now() >= reads_at => match item {
                     Ok(Some(StreamItem::Event(event))) => self.take_session(&event.body),
                     Ok(Some(StreamItem::Removed { .. })) => {}
                     Ok(None) => return,
                     Err(error) => {
                         tracing::warn!(%error, "motions not counted as wear of the fingers");
-                        tokio::time::sleep(READ_AGAIN_AFTER).await;
+                        reads_at = tokio::time::Instant::now() + READ_AGAIN_AFTER;
                     }
                 },
             }
@@ -294,8 +296,8 @@ impl GripperWear {
         let Some(set) = &mut self.finger_set else { return };
         let SessionEnd::ServoEnded { duration_ms, travel_mm } = session.end;
         let began_at = session.at - SignedDuration::from_millis(duration_ms.into());
-        // With other fingers than those that were mounted in its course.
-        if !(began_at..session.at).contains(&set.mounted_at) {
+        // Its event can become durable after others were mounted. A later mount means that the clock was set back.
+        if !(began_at..session.at + RECORDED_WITHIN).contains(&set.mounted_at) {
             set.count_motion(false, travel_mm);
         }
     }

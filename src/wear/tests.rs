@@ -224,8 +224,9 @@ fn way_of_a_servo_session_is_counted_once() {
         .take_session(&json!({"seq": 8, "at": at.to_string(), "gripper": "left", "event": "restarted"}).to_string());
     let counted = worn.wear.finger_set(&left()).unwrap();
     assert_eq!((counted.cycles, counted.travel_m()), (0, 0.4));
-    // Began with other fingers.
+    // Began, or had even ended, with other fingers.
     worn.wear.take_session(&session(9, at, 61_000));
+    worn.wear.take_session(&session(10, mounted_at - SignedDuration::from_secs(1), 20));
     assert_eq!(worn.wear.finger_set(&left()), Some(counted));
 }
 
