@@ -18,7 +18,7 @@ use crate::fleet::keys::{MAX_CLIENT_BYTES, ZenohKeys};
 use crate::interfaces::Context;
 use crate::model::{Client, Door, Name, ShownName};
 use crate::operations::gripper::servo;
-use crate::operations::{self, Caller, Gateway, Method, Operation, Problem};
+use crate::operations::{self, Caller, Gateway, Method, Operation};
 
 /// Fields that are parameters of the selector in a query.
 const CLIENT: &str = "client";
@@ -53,7 +53,7 @@ fn field(fields: &Map<String, Value>, key: &str) -> Option<String> {
 #[derive(Debug)]
 struct Put {
     operation: &'static Operation,
-    fields: Result<Map<String, Value>, Problem>,
+    fields: Map<String, Value>,
 }
 
 /// The newest put of each client, until it is executed. So the puts of a client that does not steer, and the delayed
@@ -65,14 +65,16 @@ struct NewestPuts {
 }
 
 impl NewestPuts {
-    fn add(&self, operation: &'static Operation, payload: &[u8]) {
-        let fields = body(payload);
-        let client = fields.as_ref().map(client_of).unwrap_or_default();
+    /// Returns whether there is room for the put.
+    fn add(&self, put: Put) -> bool {
+        let client = client_of(&put.fields);
         let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
-        if waiting.len() < MAX_CLIENTS || waiting.contains_key(&client) {
-            waiting.insert(client, Put { operation, fields });
+        let has_room = waiting.len() < MAX_CLIENTS || waiting.contains_key(&client);
+        if has_room {
+            waiting.insert(client, put);
+            self.added.notify_one();
         }
-        self.added.notify_one();
+        has_room
     }
 
     /// Takes puts of other clients than these, as many as can be executed.
@@ -97,9 +99,18 @@ impl ServoTargets {
         let mut subscribers = Vec::new();
         for operation in PUTS {
             let newest = newest.clone();
+            let metrics = context.metrics.clone();
             let subscriber = session.declare_subscriber(keys.command(Some(gripper), operation.name));
-            subscribers
-                .push(subscriber.callback(move |sample| newest.add(operation, &sample.payload().to_bytes())).await?);
+            let subscriber = subscriber.callback(move |sample| {
+                let refused = match body(&sample.payload().to_bytes()) {
+                    Ok(fields) => (!newest.add(Put { operation, fields })).then_some(503),
+                    Err(problem) => Some(problem.status().as_u16()),
+                };
+                if let Some(status) = refused {
+                    metrics.answered(Some(operation.name), "PUT", status);
+                }
+            });
+            subscribers.push(subscriber.await?);
         }
         Ok(Self { _subscribers: subscribers, _running: AbortOnDropHandle::new(running) })
     }
@@ -122,14 +133,9 @@ async fn run(newest: Arc<NewestPuts>, context: Context, gripper: Name) {
 }
 
 async fn execute(put: Put, context: &Context, gripper: &Name) {
-    let operation = put.operation;
-    let result = match put.fields {
-        Ok(fields) => {
-            let (caller, params) = request(&context.gateway, fields, gripper);
-            operations::call(&context.gateway, caller, Method::from(operation), Value::Object(params)).await
-        }
-        Err(problem) => Err(problem),
-    };
+    let Put { operation, fields } = put;
+    let (caller, params) = request(&context.gateway, fields, gripper);
+    let result = operations::call(&context.gateway, caller, Method::from(operation), Value::Object(params)).await;
     let status = result.map_or_else(|problem| problem.status().as_u16(), |_| 200);
     context.metrics.answered(Some(operation.name), "PUT", status);
 }
@@ -149,5 +155,42 @@ fn text_of(fields: &mut Map<String, Value>, key: &str) -> Option<String> {
     match fields.remove(key) {
         Some(Value::String(text)) => Some(text),
         _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    fn put(client: &str, width_mm: u8) -> Put {
+        let Value::Object(fields) = json!({"client": client, "width_mm": width_mm}) else { unreachable!() };
+        Put { operation: &servo::TARGET, fields }
+    }
+
+    fn widths(taken: &[(PutClient, Put)]) -> Vec<u64> {
+        taken.iter().map(|(_, put)| put.fields["width_mm"].as_u64().unwrap()).collect()
+    }
+
+    #[test]
+    fn newest_put_of_each_client_waits() {
+        let puts = NewestPuts::default();
+        assert!(puts.add(put("a", 1)) && puts.add(put("b", 2)) && puts.add(put("a", 3)));
+        let busy = HashSet::from([client_of(&put("b", 0).fields)]);
+        assert_eq!(widths(&puts.take_except(&busy)), [3]);
+        assert_eq!(widths(&puts.take_except(&HashSet::new())), [2]);
+    }
+
+    #[test]
+    fn waiting_and_executed_puts_are_bounded() {
+        let puts = NewestPuts::default();
+        let others: Vec<_> = (0..MAX_CLIENTS).map(|number| format!("client {number}")).collect();
+        assert!(others.iter().all(|client| puts.add(put(client, 1))));
+        assert!(!puts.add(put("one more", 2)) && puts.add(put(&others[0], 3)));
+        let mut busy: HashSet<_> = (1..MAX_CLIENTS).map(|n| client_of(&put(&n.to_string(), 0).fields)).collect();
+        assert_eq!(puts.take_except(&busy).len(), 1);
+        busy.insert(client_of(&put("0", 0).fields));
+        assert!(puts.take_except(&busy).is_empty());
     }
 }
