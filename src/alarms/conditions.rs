@@ -19,6 +19,9 @@ const FAILING_FOR: Duration = Duration::from_mins(1);
 /// that refuses some messages, answers at first, and is lost again within 30 s.
 const BROKER_LASTS_FOR: Duration = Duration::from_secs(45);
 
+/// Losses of a new connection to the MQTT broker after which the next one is expected to be lost, too.
+const RELAPSES: u32 = 2;
+
 /// Flags of the device that raise alarms.
 const FLAGS: [(&str, AlarmKind); 6] = [
     ("TEMP_FAULT", AlarmKind::TemperatureFault),
@@ -40,8 +43,8 @@ pub struct BrokerOutage {
     pub since: Instant,
     /// Time at which the connection was opened again; `None` while it is down.
     pub connected_at: Option<Instant>,
-    /// Whether the connection was lost again soon after it was opened.
-    pub has_relapsed: bool,
+    /// How often the connection was lost again soon after it was opened.
+    pub relapses: u32,
     /// URL of the broker.
     pub broker: Arc<str>,
     /// The newest failure, with its remedy.
@@ -58,7 +61,7 @@ impl BrokerOutage {
     /// Whether the connection is down, or is likely to be lost again.
     #[must_use]
     pub fn is_felt(&self) -> bool {
-        self.connected_at.is_none() || self.has_relapsed
+        self.connected_at.is_none() || self.relapses >= RELAPSES
     }
 }
 

@@ -334,13 +334,8 @@ async fn webhook_that_fails_for_a_minute_is_a_condition() {
 fn broker_that_is_away_for_a_minute_is_a_condition() {
     let since = Instant::now();
     let broker: Arc<str> = "mqtt://broker".into();
-    let outage = BrokerOutage {
-        since,
-        connected_at: None,
-        has_relapsed: false,
-        broker: broker.clone(),
-        cause: "cannot connect".into(),
-    };
+    let outage =
+        BrokerOutage { since, connected_at: None, relapses: 1, broker: broker.clone(), cause: "cannot connect".into() };
     let mut conditions = Conditions::new();
     of_broker(None, since + Duration::from_hours(1), &mut conditions);
     of_broker(Some(&outage), since + Duration::from_secs(59), &mut conditions);
@@ -356,7 +351,7 @@ fn broker_that_is_lost_again_and_again_is_a_condition() {
     let restarted = BrokerOutage {
         since,
         connected_at: Some(connected_at),
-        has_relapsed: false,
+        relapses: 1,
         broker: "mqtt://broker".into(),
         cause: "cannot connect".into(),
     };
@@ -366,7 +361,7 @@ fn broker_that_is_lost_again_and_again_is_a_condition() {
         !conditions.is_empty()
     };
     assert!(!is_condition(&restarted, connected_at));
-    let flapping = BrokerOutage { has_relapsed: true, ..restarted };
+    let flapping = BrokerOutage { relapses: 2, ..restarted };
     assert!(!is_condition(&flapping, since + Duration::from_secs(59)));
     assert!(is_condition(&flapping, connected_at + Duration::from_secs(44)));
     assert!(!is_condition(&flapping, connected_at + Duration::from_secs(45)));

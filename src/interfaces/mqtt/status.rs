@@ -62,10 +62,10 @@ impl MqttStatus {
             let before = failures.remove(&purpose);
             let earlier = before.as_ref().map(|before| &before.outage);
             let since = earlier.map_or_else(|| Now::read().instant, |earlier| earlier.since);
-            let has_relapsed = earlier.is_some_and(|earlier| earlier.has_relapsed || earlier.connected_at.is_some());
+            let relapses = earlier.map_or(0, |earlier| earlier.relapses + u32::from(earlier.connected_at.is_some()));
             let count = before.as_ref().map_or(0, |before| before.count).saturating_add(1);
             let cause = error.as_str().into();
-            let outage = BrokerOutage { since, connected_at: None, has_relapsed, broker: self.broker.clone(), cause };
+            let outage = BrokerOutage { since, connected_at: None, relapses, broker: self.broker.clone(), cause };
             failures.insert(purpose, Failures { count, outage });
             count
         });
