@@ -89,7 +89,8 @@ const cell = (names, part = 20) =>
 /** Shows a servo session with long figures for as long as the page is open. */
 async function steered(page) {
   const servo = { by: 'ws:127.0.0.1', adapter: 'width_speed', hz: 100, applied_age_ms: 1234 };
-  await page.evaluate(`learnServo = () => {}; shownGripper.peek().servo.value = ${JSON.stringify(servo)}`);
+  // Counts as an answer, so that no answer to an earlier request replaces it.
+  await page.evaluate(`learnServo = () => {}; shownGripper.peek().asking('servo')(${JSON.stringify(servo)})`);
   await page.waitForSelector('.result-note:text-matches("1234 ms")');
 }
 
@@ -211,6 +212,23 @@ const STATES = {
     await visitor.page.waitForSelector('.alarm');
     return visitor;
   },
+  // These states of the link last for seconds at most.
+  ...Object.fromEntries(
+    ['unresponsive', 'reconnecting'].map((link) => [
+      `link-${link}`,
+      async (open) => {
+        const visitor = await open(await cell(LONG), '/readyz');
+        const { page } = visitor;
+        await page.routeWebSocket('**/api/v1/ws', (socket) => {
+          const server = socket.connectToServer();
+          server.onMessage((message) => socket.send(message.replaceAll('"link":"connected"', `"link":"${link}"`)));
+        });
+        await page.goto(new URL('/', page.url()).href);
+        await page.waitForSelector('.motion-panel .cover');
+        return visitor;
+      },
+    ]),
+  ),
   'gateway-lost': async (open) => {
     const served = await cell(['left', 'right']);
     const visitor = await open(served);
