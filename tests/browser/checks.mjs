@@ -9,16 +9,18 @@ const axe = readFileSync(AXE, 'utf8');
 /** Returns what axe finds. */
 export async function violations(page) {
   // Injects the checker through the debugger, which the page's content security policy does not restrict.
-  await page.evaluate(axe);
-  const { violations: found } = await page.evaluate(() =>
-    globalThis.axe.run(document, {
+  if (await page.evaluate(() => globalThis.axe === undefined)) await page.evaluate(axe);
+  return page.evaluate(async () => {
+    const { violations: found } = await globalThis.axe.run(document, {
       runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'wcag22aa', 'best-practice'],
-    }),
-  );
-  return found.map(({ id, nodes }) => ({
-    id,
-    nodes: nodes.map(({ target, failureSummary }) => `${target}: ${failureSummary}`),
-  }));
+      // Describing each element that passes takes a third of the time.
+      resultTypes: ['violations'],
+    });
+    return found.map(({ id, nodes }) => ({
+      id,
+      nodes: nodes.map(({ target, failureSummary }) => `${target}: ${failureSummary}`),
+    }));
+  });
 }
 
 /** Finds elements wider than the screen or too small to touch. The window's own width grows with its content. */

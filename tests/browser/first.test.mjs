@@ -4,7 +4,8 @@ import assert from 'node:assert/strict';
 import { createServer } from 'node:http';
 import { test } from 'node:test';
 
-import { assertClean, browser, gateway, LONGER_TIMES, started, until, visit } from './harness.mjs';
+import { places } from './checks.mjs';
+import { assertClean, browser, gateway, homed, LONGER_TIMES, rendered, started, until, visit } from './harness.mjs';
 
 const launched = await browser();
 
@@ -33,22 +34,69 @@ test('the first load needs few requests', async () => {
   assertClean(visitor);
 });
 
-test('the second script needs no round trip of its own', async () => {
+test('the second script is requested when the first one arrives, and not earlier', async () => {
   const served = await gateway();
   const visitor = await visit(launched, served, { path: '/readyz', hasOwnTimes: true });
   const { page } = visitor;
-  const second = page.waitForRequest('**/later.js');
   const seconds = [];
   page.on('request', (request) => {
     if (request.url().endsWith('/later.js')) seconds.push(request.url());
   });
+  let letGo;
+  const held = new Promise((resolve) => {
+    letGo = resolve;
+  });
+  // Without a state, there is no first screen.
+  await page.routeWebSocket('**/api/v1/ws', (socket) => {
+    const server = socket.connectToServer();
+    server.onMessage(async (message) => {
+      await held;
+      socket.send(message);
+    });
+  });
+  let before = null;
   await page.route('**/app.js', async (route) => {
-    await second;
+    // By then, the script before it has run.
+    await page.waitForFunction(() => document.documentElement.dataset.theme);
+    before = seconds.length;
+    await route.continue();
+  });
+  const second = page.waitForRequest('**/later.js');
+  await page.goto(served.url);
+  await second;
+  assert.equal(before, 0);
+  assert.equal(await page.locator('.figure-main').count(), 0);
+  letGo();
+  await page.waitForSelector('.motion-panel');
+  assert.equal(seconds.length, 1);
+  assertClean(visitor);
+});
+
+test('the controls do not wait for the library of the charts', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served, { path: '/readyz', hasOwnTimes: true });
+  const { page } = visitor;
+  let letGo;
+  const held = new Promise((resolve) => {
+    letGo = resolve;
+  });
+  await page.route('**/plots.js', async (route) => {
+    await held;
     await route.continue();
   });
   await page.goto(served.url);
-  await page.waitForSelector('.motion-panel');
-  assert.equal(seconds.length, 1);
+  await homed(page);
+  await page.waitForSelector('.charts-panel');
+  await rendered(page);
+  const before = await places(page);
+  assert.equal(await page.locator('.charts-panel canvas').count(), 0);
+  letGo();
+  await page.waitForSelector('.charts-panel canvas');
+  assert.deepEqual(await places(page), before);
+  // The curves of another view wait for the same script.
+  await page.click('[data-view=history]');
+  await page.click('tbody button');
+  await page.waitForSelector('.curve-place canvas');
   assertClean(visitor);
 });
 

@@ -4,12 +4,23 @@
 import assert from 'node:assert/strict';
 import { after, test } from 'node:test';
 
-import { altered, assertClean, browser, controlled, gateway, homed, launch, until, visit } from './harness.mjs';
+import {
+  altered,
+  assertClean,
+  browser,
+  CHROMIUM,
+  controlled,
+  gateway,
+  homed,
+  launch,
+  until,
+  visit,
+} from './harness.mjs';
 
 const launched = await browser();
 
-/** A browser that keeps pages for Back, which automated browsers do not by default. */
-const keeping = await launch({ ignoreDefaultArgs: ['--disable-back-forward-cache'] });
+/** A browser that keeps pages for Back, which automated browsers do not by default, and the headless shell never does. */
+const keeping = await launch({ executablePath: CHROMIUM, ignoreDefaultArgs: ['--disable-back-forward-cache'] });
 after(() => keeping.close());
 
 const state = (served) => served.ask('GET', 'grippers/left/state');

@@ -1,5 +1,5 @@
-// Appearance of the page, also checked with axe: several screen sizes, light and dark, German and English. Screenshots
-// are in target/browser/screenshots, for visual review.
+// Appearance of the page, also checked with axe: several screen sizes, light and dark, German and English.
+// `SCREENSHOTS=1` leaves screenshots in target/browser/screenshots, for visual review.
 
 import assert from 'node:assert/strict';
 import { mkdtempSync, rmSync } from 'node:fs';

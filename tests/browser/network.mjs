@@ -3,14 +3,14 @@
 import assert from 'node:assert/strict';
 import { test } from 'node:test';
 
-import { browser, gateway, visit } from './harness.mjs';
+import { browser, CHROMIUM, gateway, visit } from './harness.mjs';
 
-const launched = await browser();
+const launched = await browser([], CHROMIUM);
 
-/** Bytes per second, round trip, and limit of the first useful paint. */
+/** Bytes per second, round trip, and limits of the first useful paint and of the controls. */
 const NETWORKS = {
-  '400 kbit/s': { bytes: 50_000, latencyMs: 400, mostMs: 3000 },
-  'fast 3G': { bytes: 200_000, latencyMs: 150, mostMs: 1000 },
+  '400 kbit/s': { bytes: 50_000, latencyMs: 400, mostMs: 3000, controlsMs: 4000 },
+  'fast 3G': { bytes: 200_000, latencyMs: 150, mostMs: 1000, controlsMs: 1600 },
 };
 /** A busy machine only adds to a measurement, so the best of several tries counts. */
 const TRIES = 10;
@@ -24,12 +24,14 @@ const paintedAt = () =>
     }).observe({ type: 'element', buffered: true });
   });
 
-for (const [name, { bytes, latencyMs, mostMs }] of Object.entries(NETWORKS)) {
+for (const [name, { bytes, latencyMs, mostMs, controlsMs }] of Object.entries(NETWORKS)) {
   test(`the first screen is useful within ${mostMs} ms at ${name}`, async () => {
     const served = await gateway();
     await served.ask('POST', 'grippers/left/home');
-    const times = [];
-    while (times.length < TRIES && !times.some((time) => time < mostMs)) {
+    const tries = { useful: [], controls: [] };
+    const areGood = () =>
+      tries.useful.some((time) => time < mostMs) && tries.controls.some((time) => time < controlsMs);
+    while (tries.useful.length < TRIES && !areGood()) {
       const { page, close } = await visit(launched, served, { path: '/readyz', hasOwnTimes: true });
       const cdp = await page.context().newCDPSession(page);
       await cdp.send('Network.enable');
@@ -41,14 +43,13 @@ for (const [name, { bytes, latencyMs, mostMs }] of Object.entries(NETWORKS)) {
         uploadThroughput: bytes,
       });
       await page.goto(served.url);
-      await page.waitForSelector('.figure-main');
-      times.push(await page.evaluate(paintedAt));
+      await page.waitForSelector('.motion-panel');
+      tries.controls.push(await page.evaluate(() => performance.now()));
+      tries.useful.push(await page.evaluate(paintedAt));
       await close();
     }
-    console.log(`useful after ${times.map(Math.round).join(', ')} ms at ${name}`);
-    assert.ok(
-      times.some((time) => time < mostMs),
-      `${times}`,
-    );
+    for (const [what, times] of Object.entries(tries))
+      console.log(`${what} after ${times.map(Math.round).join(', ')} ms at ${name}`);
+    assert.ok(areGood(), JSON.stringify(tries));
   });
 }

@@ -4,9 +4,8 @@
 //! import needs no code. That needs a unique name for each export. Libraries are minified in another style: each
 //! becomes an object of its exports.
 //!
-//! The first script is a classic one, whose variables are global. The others are modules, which use those variables: the
-//! page imports the second one after the first screen, and the third one with the first view that needs it. The third
-//! script imports the variables of the second.
+//! The first script is a classic one, whose variables are global. The others are modules, which use those variables. A
+//! module script that follows another one imports its variables too.
 
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
@@ -119,7 +118,8 @@ impl Module {
             } else if let Some(declared) = line.strip_prefix("export ") {
                 module.declare(declared);
             } else if !trimmed.is_empty() && !trimmed.starts_with("//") {
-                let _ = writeln!(module.block, "{line}");
+                // Indentation matters to no text of a page.
+                let _ = writeln!(module.block, "{trimmed}");
             }
         }
         module

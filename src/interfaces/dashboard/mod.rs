@@ -1,6 +1,6 @@
 //! The dashboard: a page embedded in the program, which uses only the public WebSocket and REST interfaces.
 //!
-//! There is no build step: when a browser first loads the page, the gateway joins the modules into three scripts and the
+//! There is no build step: when a browser first loads the page, the gateway joins the modules into four scripts and the
 //! styles into one, and compresses them. Their paths contain a hash of all assets, so that a browser caches them until
 //! one changes, and asks only for the page. The content security policy allows no other origin, and no inline script or
 //! style.
@@ -40,11 +40,12 @@ struct Assets;
 /// The page. `{version}` in it stands for the hash of the assets.
 const PAGE: &str = "index.html";
 
-/// Module that the first screen needs, module that the page imports after it, and module of the views that are opened
-/// less often.
+/// Module that the first screen needs, module that the page imports after it, module of the library that draws plots,
+/// which the page imports last, and module of the views that are opened less often.
 const FIRST: &str = "app.js";
 const SECOND: &str = "later.js";
-const THIRD: &str = "views.js";
+const PLOTS: &str = "plots.js";
+const VIEWS: &str = "views.js";
 
 /// Style sheets, in order.
 const STYLES: [&str; 5] =
@@ -129,9 +130,29 @@ fn compressed(plain: &[u8]) -> Option<Bytes> {
 fn joined() -> BTreeMap<&'static str, Content> {
     let first = Bundle::first(&text, FIRST);
     let second = first.module(&text, SECOND);
-    let third = second.module_after(&text, THIRD, SECOND);
-    let style = Content::new("text/css; charset=utf-8", STYLES.map(text).concat());
-    BTreeMap::from([(FIRST, script(&first)), (SECOND, script(&second)), (THIRD, script(&third)), ("style.css", style)])
+    let plots = second.module(&text, PLOTS);
+    let views = second.module_after(&text, VIEWS, SECOND);
+    let style = Content::new("text/css; charset=utf-8", without_comments(&STYLES.map(text).concat()));
+    BTreeMap::from([
+        (FIRST, script(&first)),
+        (SECOND, script(&second)),
+        (PLOTS, script(&plots)),
+        (VIEWS, script(&views)),
+        ("style.css", style),
+    ])
+}
+
+/// Removes comments and indentation from a style sheet.
+fn without_comments(style: &str) -> String {
+    let mut kept = String::new();
+    let mut rest = style;
+    while let Some((before, after)) = rest.split_once("/*") {
+        kept.push_str(before);
+        rest = after.split_once("*/").map_or("", |(_, after)| after);
+    }
+    kept.push_str(rest);
+    let lines = kept.lines().map(str::trim).filter(|line| !line.is_empty());
+    lines.collect::<Vec<_>>().join("\n")
 }
 
 fn script(bundle: &Bundle) -> Content {

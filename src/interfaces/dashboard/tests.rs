@@ -165,7 +165,8 @@ fn scripts_have_every_module_once() {
     let present: BTreeSet<_> = Assets::iter().filter(|path| is_module(path)).map(Cow::into_owned).collect();
     assert_eq!(needed, present);
     let files = joined();
-    let script = [FIRST, SECOND, THIRD].map(|path| String::from_utf8(files[path].plain.to_vec()).unwrap()).concat();
+    let script =
+        [FIRST, SECOND, PLOTS, VIEWS].map(|path| String::from_utf8(files[path].plain.to_vec()).unwrap()).concat();
     // Variables with a value belong to the block of one module.
     let declared = script.lines().filter(|line| !line.contains('='));
     let declared = declared.filter_map(|line| line.strip_prefix("let ")?.strip_suffix(';'));
@@ -194,7 +195,8 @@ async fn scripts_are_compressed_for_clients_that_take_it() {
         assert_eq!(header(&response, VARY), "accept-encoding");
         let bytes = response.into_body().collect().await.unwrap().to_bytes();
         if is_compressed {
-            assert!(bytes.len() < 60_000, "{}", bytes.len());
+            // At 400 kbit/s, each kilobyte delays the first screen by 20 ms.
+            assert!(bytes.len() < 48_000, "{}", bytes.len());
             let mut text = String::new();
             flate2::read::GzDecoder::new(&*bytes).read_to_string(&mut text).unwrap();
             assert_eq!(text, plain);

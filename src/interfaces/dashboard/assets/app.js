@@ -1,6 +1,7 @@
 // The page: a permanent bar, and one of five views.
 
 import { html, render, signal, useEffect } from './lib.js';
+import { fetchLater, fetchViews, isMissing, laterParts, otherViews } from './loading.js';
 import { LANGUAGES, language, t } from './model/i18n.js';
 import { mustSignIn, mayOperate, recognize } from './model/me.js';
 import { MAX_NAME_BYTES, myName, rename } from './model/name.js';
@@ -27,39 +28,14 @@ function Views() {
   </nav>`;
 }
 
-/** Components that are loaded after the first screen (state and STOP), by name. */
-const later = signal({});
-
-/** Whether they could not be loaded. */
-const isMissing = signal(false);
-
 function Missing() {
   if (!isMissing.value) return null;
   return html`<div class="missing"><p role="alert">${t('part.missing')}</p><button type="button"
       onClick=${() => location.reload()}>${t('reload')}</button></div>`;
 }
 
-async function fetchLater() {
-  try {
-    later.value = await import('./later.js');
-  } catch {
-    isMissing.value = true;
-  }
-}
-
-/** Components of the other views, by name; empty until one of them is opened. */
-const others = signal({});
-
-async function fetchOthers() {
-  try {
-    others.value = await import('./views.js');
-  } catch {
-    isMissing.value = true;
-  }
-}
-
 function Operate({ gripper }) {
-  const { Alarms, Charts, Latch, Motion, Recipes, WhoControls } = later.value;
+  const { Alarms, Charts, Latch, Motion, Recipes, WhoControls } = laterParts.value;
   const isOperator = Motion && mayOperate(gripper.name);
   const isLatched = gripper.latchId.value !== null;
   return html`<div class=${`operate ${isOperator ? '' : 'watching'} ${isLatched ? 'latched' : ''}`}>
@@ -72,7 +48,7 @@ function Operate({ gripper }) {
 }
 
 function viewOf(name) {
-  const { All, Device, History, Log } = others.value;
+  const { All, Device, History, Log } = otherViews.value;
   return { operate: Operate, history: History, log: Log, device: Device, all: All }[name];
 }
 
@@ -82,7 +58,7 @@ const WIDGETS = { jaws: 'Jaws', charts: 'Charts', flags: 'Flags', alarms: 'Alarm
 const widget = WIDGETS[new URLSearchParams(location.search).get('view')];
 
 function Widget({ gripper }) {
-  const Shown = { Jaws, ...later.value, ...others.value }[widget];
+  const Shown = { Jaws, ...laterParts.value, ...otherViews.value }[widget];
   return html`<main class="widget">${Shown && html`<${Shown} gripper=${gripper} />`}</main>`;
 }
 
@@ -97,8 +73,8 @@ function Main() {
   }, [isKnown]);
   const needsOthers = view.value !== 'operate' || widget === 'Flags' || widget === 'All';
   useEffect(() => {
-    if (needsOthers && later.value.Motion && !others.peek().All) fetchOthers();
-  }, [needsOthers, later.value]);
+    if (needsOthers && laterParts.value.Motion && !otherViews.peek().All) fetchViews();
+  }, [needsOthers, laterParts.value]);
   if (mustSignIn.value) return html`<${SignIn} />`;
   if (!gripper)
     return html`<main class="waiting"><p>${
@@ -147,7 +123,7 @@ function Footer() {
 }
 
 function App() {
-  const { Announcer } = later.value;
+  const { Announcer } = laterParts.value;
   // A key stops from here too.
   if (widget) return html`<${Obstacle} /><${Missing} /><${Main} /><${Strip} />`;
   return html`<a class="skip" href="#main"

@@ -1,5 +1,5 @@
-// Runs before the first paint. Sets the theme, so that no white page flashes at night, sends the first request
-// and loads the second script while the first one is loading, so that the first paint shows values.
+// Runs before the first paint. Sets the theme, so that no white page flashes at night, and sends the first request while
+// the first script is loading, so that the first paint shows values.
 
 {
   let theme = null;
@@ -30,11 +30,4 @@
     if (heard.push({ data, at: performance.now() }) > MAX_HEARD) socket.close();
   };
   globalThis.early = { socket, asked, heard };
-
-  // The first script imports the second one after the first screen: then it is here already.
-  const second = document.createElement('link');
-  second.rel = 'modulepreload';
-  second.fetchPriority = 'low';
-  second.href = new URL('../later.js', document.currentScript.src).href;
-  document.head.append(second);
 }

@@ -1,7 +1,7 @@
 // Base of the strip charts and the curves: lines over time, in the colours of the page.
 
 import { html } from '../lib.js';
-import uPlot from '../vendor/uplot.js';
+import { plotClass } from '../loading.js';
 import { decimals, MAX_DECIMALS } from '../core/decimals.js';
 import { fixed, language } from '../model/i18n.js';
 import { isDark } from '../model/prefs.js';
@@ -60,10 +60,13 @@ function readout(output, atText) {
   };
 }
 
+/** Whether the library that draws plots is loaded. */
+export const canPlot = () => plotClass.value !== null;
+
 /**
- * `timeText` formats a label of the time axis from its value and decimals. `output` shows the value under the cursor,
- * which all plots with the same `group` share, and `atText` formats its value on the x axis. `xScale`, `yScale`,
- * `padding` and `hooks` are uPlot's.
+ * Draws a plot, once `canPlot` is true. `timeText` formats a label of the time axis from its value and decimals. `output`
+ * shows the value under the cursor, which all plots with the same `group` share, and `atText` formats its value on the x
+ * axis. `xScale`, `yScale`, `padding` and `hooks` are uPlot's.
  */
 export function plot(
   place,
@@ -76,7 +79,8 @@ export function plot(
     ticks: { show: false },
     ...more,
   });
-  return new uPlot(
+  const Class = plotClass.peek();
+  return new Class(
     {
       width: place.clientWidth,
       height: place.clientHeight,

@@ -4,7 +4,7 @@ import { html, signal, useComputed, useEffect, useRef } from '../lib.js';
 import { fixed, t } from '../model/i18n.js';
 import { get } from '../net/rest.js';
 import { drawWith } from '../model/screen.js';
-import { css, fit, looks, plot } from '../ui/plot.js';
+import { canPlot, css, fit, looks, plot } from '../ui/plot.js';
 import { Choice, Covered, Panel } from '../ui/parts.js';
 import { unknownText } from '../ui/unknown.js';
 
@@ -98,8 +98,10 @@ function Gap({ gripper, name }) {
 function Charted({ gripper }) {
   const places = useRef([]);
   const outputs = useRef([]);
+  const isDrawn = canPlot();
   useEffect(() => {
     fill(gripper);
+    if (!isDrawn) return;
     let until = performance.now();
     let drawnAt = 0;
     const mounted = [...places.current];
@@ -123,7 +125,7 @@ function Charted({ gripper }) {
       endFitting();
       plots.forEach((drawn) => drawn.destroy());
     };
-  }, [gripper, looks(), windowS.value]);
+  }, [gripper, looks(), windowS.value, isDrawn]);
   return html`<div class="charts">
     ${CHARTS.map(
       (chart, index) => html`<figure class="chart" key=${chart.key}>

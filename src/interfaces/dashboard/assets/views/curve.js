@@ -3,7 +3,7 @@
 import { html, useEffect, useRef, useSignal } from '../lib.js';
 import { fixed, moment, t } from '../model/i18n.js';
 import { get } from '../net/rest.js';
-import { fit, Line, looks, overlaid, plot } from '../ui/plot.js';
+import { canPlot, fit, Line, looks, overlaid, plot } from '../ui/plot.js';
 
 const ROWS = [
   ['width', 'width_mm', 'mm'],
@@ -14,7 +14,9 @@ const ROWS = [
 function Drawn({ curves }) {
   const places = useRef([]);
   const outputs = useRef([]);
+  const isDrawn = canPlot();
   useEffect(() => {
+    if (!isDrawn) return;
     const mounted = [...places.current];
     const timeText = (value, decimals) => `${fixed(value, decimals)} s`;
     const plots = ROWS.map(([, column], index) =>
@@ -31,7 +33,7 @@ function Drawn({ curves }) {
       endFitting();
       plots.forEach((drawn) => drawn.destroy());
     };
-  }, [curves.map(({ id }) => id).join(), looks()]);
+  }, [curves.map(({ id }) => id).join(), looks(), isDrawn]);
   return html`<div>${ROWS.map(
     ([key, , unit], index) => html`<figure class="chart" key=${key}>
     <figcaption>${t(key)} <span class="unit">${unit}</span> <output ref=${(output) => {

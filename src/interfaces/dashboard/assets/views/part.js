@@ -4,7 +4,7 @@ import { html, useEffect, useMemo, useRef, useSignal } from '../lib.js';
 import { fixed, moment, plain, t } from '../model/i18n.js';
 import { get, query } from '../net/rest.js';
 import { Facts } from '../ui/facts.js';
-import { fit, Line, looks, MAX_LINES, plot } from '../ui/plot.js';
+import { canPlot, fit, Line, looks, MAX_LINES, plot } from '../ui/plot.js';
 import { averages, histogram } from '../core/statistics.js';
 
 /** Size of the histogram in units of its view box. */
@@ -21,7 +21,9 @@ function Trend({ grips, limits }) {
   const place = useRef(null);
   const output = useRef(null);
   const widths = grips.map(({ contact_width_mm: width }) => width);
+  const isDrawn = canPlot();
   useEffect(() => {
+    if (!isDrawn) return;
     const mounted = place.current;
     const drawn = plot(mounted, {
       data: [
@@ -42,7 +44,7 @@ function Trend({ grips, limits }) {
       endFitting();
       drawn.destroy();
     };
-  }, [grips, limits.join(), looks()]);
+  }, [grips, limits.join(), looks(), isDrawn]);
   const isShown = (index) => index < 2 || limits[index - 2] !== null;
   return html`<figure class="chart"><figcaption>${t('part.trend')} <span class="unit">mm</span> <output ref=${output} />
     </figcaption>
