@@ -251,15 +251,18 @@ async fn sessions_that_ended_before_a_restart_are_counted() {
         travel_mm: 400.0,
     };
     let (waiter, durable) = oneshot::channel();
-    let event = Event::new(Now::read().wall, Some(left()), Detail::Device(ended));
+    let event = Event::new(Now::read().wall + SignedDuration::from_secs(1), Some(left()), Detail::Device(ended));
     journal.record(Record::Event(event, Some(waiter)));
     durable.await.unwrap();
     let wear = Arc::new(Wear::new(journal.clone(), None, &persisted));
     let closing = CancellationToken::new();
     let watching = tokio::spawn(wear.clone().watch(journal.subscribe_grips(), closing.clone()));
-    while wear.finger_set(&left()).unwrap().travel_mm < 400.0 {
-        tokio::task::yield_now().await;
-    }
+    let counted = async {
+        while wear.finger_set(&left()).unwrap().travel_mm < 400.0 {
+            tokio::task::yield_now().await;
+        }
+    };
+    tokio::time::timeout(Duration::from_secs(20), counted).await.unwrap();
     closing.cancel();
     watching.await.unwrap();
 }
