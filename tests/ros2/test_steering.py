@@ -166,7 +166,7 @@ def test_stop_of_somebody_holds(cell: Cell, nodes: Nodes, path: str) -> None:
 
 @pytest.mark.parametrize("wrong", [0.041, math.nan])
 def test_wrong_targets_are_no_pause(cell: Cell, nodes: Nodes, wrong: float) -> None:
-    steering = publisher(nodes, speed=0.02, max_width=0.08, steering_timeout=0.5)
+    steering = publisher(nodes, speed=0.02, max_width=0.08)
     steering.position = [0.0]
     until(lambda: width_mm(cell) < 58)
     before = sessions(cell)
@@ -175,13 +175,13 @@ def test_wrong_targets_are_no_pause(cell: Cell, nodes: Nodes, wrong: float) -> N
     until(lambda: stands_still(cell))
     stopped_mm = width_mm(cell)
     steering.position = [wrong]
-    time.sleep(1)
+    time.sleep(TIMEOUT_S + 0.5)
     steering.position = [0.0]
     time.sleep(1)
     assert width_mm(cell) == stopped_mm and sessions(cell) == before
     # Only a pause begins a new session, also if wrong targets come first.
     steering.position = None
-    time.sleep(1)
+    time.sleep(TIMEOUT_S + 0.5)
     steering.position = [wrong]
     time.sleep(0.2)
     steering.position = [0.0]
@@ -189,7 +189,7 @@ def test_wrong_targets_are_no_pause(cell: Cell, nodes: Nodes, wrong: float) -> N
 
 
 def test_wrong_targets_end_the_session(cell: Cell, nodes: Nodes) -> None:
-    steering = publisher(nodes, speed=0.01, steering_timeout=0.5)
+    steering = publisher(nodes, speed=0.01)
     steering.position = [0.0]
     until(lambda: width_mm(cell) < 59)
     steering.position = [-0.01]

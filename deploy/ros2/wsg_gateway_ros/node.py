@@ -13,6 +13,7 @@ import wsg_gateway
 from control_msgs.action import GripperCommand, ParallelGripperCommand
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import ParameterDescriptor
+from rclpy._rclpy_pybind11 import RCLError
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
@@ -256,7 +257,6 @@ class GripperNode(Node):
         filled: Callable[[Any, Values], Any],
     ) -> Values:
         """Carries a goal out, and says how it ended."""
-
         order: Order | None = None
 
         def move(control: wsg_gateway.Control) -> wsg_gateway.Motion:
@@ -377,6 +377,10 @@ def main() -> None:
         executor.spin()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
+    except RCLError:
+        # Ctrl-C can come just before rclpy waits again, which it then reports in this way.
+        if rclpy.ok():
+            raise
     except (KeyError, wsg_gateway.GatewayError) as error:
         sys.exit(f"wsg: {error}")
     finally:
