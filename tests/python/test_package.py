@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import json
 import subprocess
@@ -144,6 +145,42 @@ def test_events_during_a_lost_connection_are_counted(connect: Connect, gateway: 
         newest = client.records.events(1)[0]
         missed = client.records.events(None, after=newest.seq - 5)
         assert [event.seq for event in missed][-1] >= newest.seq
+
+
+def test_missed_events_are_counted_beside_newer_ones(connect: Connect, gateway: Gateway) -> None:
+    """Events of a new connection can come before this program has looked at the answer of its subscription."""
+
+    def newest() -> int:
+        return int(gateway.get("/events?limit=1")["events"][0]["seq"])
+
+    def move(width_mm: float) -> None:
+        before = newest()
+        gateway.post("/grippers/left/move", width_mm=width_mm, speed_mm_s=400)
+        until(lambda: newest() > before)
+
+    with connect(gateway.url) as client:
+        seqs: list[int] = []
+        events = client.events().follow(lambda event: seqs.append(event.seq))
+        move(50)
+        until(lambda: seqs and seqs[-1] == newest())
+        last, core = seqs[-1], client._core
+        subscribe = core._subscribe
+
+        async def subscribe_slowly() -> Any:
+            loop = asyncio.get_running_loop()
+            await loop.run_in_executor(None, move, 55)
+            answer = await subscribe()
+            newer = core.queue("events", None, 100)
+            await loop.run_in_executor(None, move, 60)
+            await newer.next(5)
+            await core.end(newer)
+            return answer
+
+        core._subscribe = subscribe_slowly
+        client._engine.loop.call_soon_threadsafe(core.main._socket.transport.abort)
+        until(lambda: core.main.generation == 2 and seqs[-1] > last)
+        first = next(seq for seq in seqs if seq > last)
+        assert events.dropped == first - last - 1 > 0
 
 
 def test_control_fails_waits_or_asks(connect: Connect, gateway: Gateway) -> None:

@@ -147,19 +147,29 @@ class Nodes:
         self.processes: list[subprocess.Popen[bytes]] = []
         self.clients: list[Client] = []
 
+    def name(self) -> str:
+        """Name of the next node."""
+        return f"wsg_{next(self.numbers)}"
+
+    def client(self, name: str) -> Client:
+        """Returns a client of a node."""
+        self.clients.append(client := Client(name))
+        return client
+
     def start(self, **parameters: Any) -> Client:
         """Starts a node, and returns a client of it."""
-        name = f"wsg_{next(self.numbers)}"
+        name = self.name()
         values = {"url": self.url, **parameters}
         flags = [flag for key, value in values.items() for flag in ("-p", f"{key}:={value}")]
         self.processes.append(subprocess.Popen([NODE, "--ros-args", "-r", f"__node:={name}", *flags]))
-        client = Client(name)
-        self.clients.append(client)
-        return client
+        return self.client(name)
 
     def ready(self, **parameters: Any) -> Client:
         """Starts a node, and returns a client once it serves."""
-        client = self.start(**parameters)
+        return self.served(self.start(**parameters))
+
+    def served(self, client: Client) -> Client:
+        """Returns the client once its node serves."""
         assert client.gap.wait_for_server(20) and client.joint.wait_for_server(20)
         until(client.is_heard)
         return client

@@ -15,6 +15,10 @@ from action_msgs.msg import GoalStatus
 from conftest import Cell, Client, Nodes
 from diagnostic_msgs.msg import DiagnosticStatus
 from gateways import Gateway, free_port, running, until
+from rclpy.action.server import ServerGoalHandle
+from rclpy.executors import MultiThreadedExecutor
+from rclpy.parameter import Parameter
+from wsg_gateway_ros.node import GripperNode
 
 SUCCEEDED, ABORTED, CANCELED = GoalStatus.STATUS_SUCCEEDED, GoalStatus.STATUS_ABORTED, GoalStatus.STATUS_CANCELED
 
@@ -119,6 +123,37 @@ def test_goal_beyond_the_limits_is_rejected(cell: Cell, nodes: Nodes) -> None:
     assert not client.send(0.02, 50.0).accepted
     assert not client.send_joint([0.01, 0.01]).accepted
     assert client.send(0.07).accepted
+
+
+class ChangedNode(GripperNode):
+    """A node of the test, whose limit changes when a goal has been accepted."""
+
+    def _accepted(self, goal: ServerGoalHandle) -> None:
+        self.set_parameters([Parameter("max_width", value=0.05)])
+        super()._accepted(goal)
+
+
+@pytest.mark.parametrize("kind", ["gap", "joint"])
+def test_goal_beyond_a_new_limit_is_aborted(cell: Cell, nodes: Nodes, kind: str) -> None:
+    name = nodes.name()
+    url = Parameter("url", value=cell.gateway.url)
+    node = ChangedNode(cli_args=["--ros-args", "-r", f"__node:={name}"], parameter_overrides=[url])
+    executor = MultiThreadedExecutor(4)
+    try:
+        node.connect()
+        executor.add_node(node)
+        threading.Thread(target=executor.spin, daemon=True).start()
+        client = nodes.served(nodes.client(name))
+        handle = client.send(0.08) if kind == "gap" else client.send_joint([0.04])
+        assert handle.accepted and client.result(handle)[0] == ABORTED
+        assert cell.gateway.state()["width_mm"] == pytest.approx(60, abs=0.5)
+        # The goal has ended, so that steering may begin.
+        until(lambda: node._motions.announce_if_idle(object()), 2)
+        assert "a width of 80 mm: it must be from 0 to 50" in node._motions.outcome
+    finally:
+        node.close()
+        executor.shutdown(1)
+        node.destroy_node()
 
 
 def test_fast_stop_and_its_acknowledgement(cell: Cell, nodes: Nodes) -> None:

@@ -196,15 +196,17 @@ class Core:
         before, self.journal_id = self.journal_id, None
         if not self._subscribed:
             return
-        answer = await self._subscribe()
-        for state in answer["states"]:
-            self._stated(state)
         self.journal_id = await self._journal_id()
         if None not in (before, self.journal_id) and before != self.journal_id:
             logger.warning("the gateway has another journal than before: its events and records begin again")
             self._seqs.clear()
-        self._count_missed("events", answer["event_seq"] + 1)
-        self._seqs["events"] = answer["event_seq"]
+        # Events of this connection can come before the answer is looked at.
+        last = self._seqs.get("events")
+        answer = await self._subscribe()
+        self._count_missed("events", last, answer["event_seq"] + 1)
+        self._seqs["events"] = max(answer["event_seq"], self._seqs.get("events", 0))
+        for state in answer["states"]:
+            self._stated(state)
 
     async def _subscribe(self) -> Any:
         return await self.main.call("subscribe", topics=self._subscribed, max_hz=self.max_hz)
@@ -222,12 +224,10 @@ class Core:
             logger.warning("the journal's id is not known (%s): the outcome of a motion can stay unknown after a restart", error)
             return None
 
-    def _count_missed(self, topic: str, seq: int) -> None:
+    def _count_missed(self, topic: str, last: int | None, seq: int) -> None:
         """Counts the items that came while the connection was down: those between the last one and `seq`."""
-        known = self._seqs.get(topic)
-        if known is not None and seq > known + 1:
-            self._drop(topic, seq - known - 1, f"the connection was lost: read them with records.{topic}(after={known})")
-        self._seqs[topic] = max(seq, known or 0)
+        if last is not None and seq > last + 1:
+            self._drop(topic, seq - last - 1, f"the connection was lost: read them with records.{topic}(after={last})")
 
     def _closed(self, reason: str) -> None:
         for holder in list(self.holders):
@@ -247,7 +247,9 @@ class Core:
             newest = (params["id"], params.get("part_lost_at"))
             if newest != self._newest_grip:  # A record can come twice around a subscription.
                 self._newest_grip = newest
-                self._count_missed("grips", params["seq"])
+                last = self._seqs.get("grips")
+                self._count_missed("grips", last, params["seq"])
+                self._seqs["grips"] = max(params["seq"], last or 0)
                 self._put("grips", params["gripper"], GripRecord.build(params))
         elif method == "gap":
             self._drop(params["topic"], params["missed"], "this connection is too slow")

@@ -54,8 +54,11 @@ class Motions:
 
     @contextmanager
     def turn(self, token: object) -> Iterator[Control]:
-        """Takes control for steering that was announced, once no goal runs any more."""
-        with self._finishing(token), self._turn, self._control() as control:
+        """Takes control for steering that was announced, once no goal runs any more.
+
+        It does not wait for the lease: somebody could send a Stop meanwhile, which no session would notice.
+        """
+        with self._finishing(token), self._turn, self._control(timeout_s=0) as control:
             yield control
 
     def is_newest(self, goal: object) -> bool:
@@ -103,13 +106,14 @@ class Motions:
                 self._is_in_control = False
 
     @contextmanager
-    def _control(self) -> Iterator[Control]:
+    def _control(self, **changed: Any) -> Iterator[Control]:
+        terms = self._terms | changed
         if not self._keeps_control:
-            with self._gripper.control(**self._terms) as control:
+            with self._gripper.control(**terms) as control:
                 yield control
             return
         if self._kept is None or not self._kept.held:
-            self._kept = self._gripper.control(**self._terms).__enter__()
+            self._kept = self._gripper.control(**terms).__enter__()
         yield self._kept
 
     def _stop(self) -> None:

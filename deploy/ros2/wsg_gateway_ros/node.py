@@ -13,6 +13,7 @@ import wsg_gateway
 from control_msgs.action import GripperCommand, ParallelGripperCommand
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import ParameterDescriptor
+from rclpy._rclpy_pybind11 import RCLError
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
@@ -131,6 +132,7 @@ class GripperNode(Node):
             try:
                 steering.target(self._width_mm(message.data))
             except ValueError as error:
+                steering.ignored()
                 self.get_logger().warning(f"target ignored: {error}", throttle_duration_sec=1.0)
 
         group = MutuallyExclusiveCallbackGroup()
@@ -234,7 +236,7 @@ class GripperNode(Node):
             message.stalled, message.reached_goal = values.stalled, values.reached_goal
             return message
 
-        values = self._execute(goal, self._gap_order(goal.request), GripperCommand.Feedback, filled)
+        values = self._execute(goal, self._gap_order, GripperCommand.Feedback, filled)
         return filled(GripperCommand.Result(), values)
 
     def _execute_joint(self, goal: ServerGoalHandle) -> ParallelGripperCommand.Result:
@@ -242,24 +244,38 @@ class GripperNode(Node):
             message.state = self._joint(values)
             return message
 
-        values = self._execute(goal, self._joint_order(goal.request), ParallelGripperCommand.Feedback, filled)
+        values = self._execute(goal, self._joint_order, ParallelGripperCommand.Feedback, filled)
         result = filled(ParallelGripperCommand.Result(), values)
         result.stalled, result.reached_goal = values.stalled, values.reached_goal
         return result
 
-    def _execute(self, goal: ServerGoalHandle, order: Order, feedback: Any, filled: Callable[[Any, Values], Any]) -> Values:
+    def _execute(
+        self,
+        goal: ServerGoalHandle,
+        ordered: Callable[[Any], Order],
+        feedback: Any,
+        filled: Callable[[Any, Values], Any],
+    ) -> Values:
         """Carries a goal out, and says how it ended."""
+        order: Order | None = None
+
+        def move(control: wsg_gateway.Control) -> wsg_gateway.Motion:
+            # Parameters can have changed since the goal was accepted.
+            nonlocal order
+            order = ordered(goal.request)
+            return order.carry_out(control)
+
         self._feedback = lambda state: goal.publish_feedback(filled(feedback(), Values.of(state)))
         motion: wsg_gateway.Motion | None = None
         try:
-            motion = self._motions.run(goal, order.carry_out, lambda: goal.is_cancel_requested)
-        except (wsg_gateway.GatewayError, TimeoutError) as error:
+            motion = self._motions.run(goal, move, lambda: goal.is_cancel_requested)
+        except (wsg_gateway.GatewayError, TimeoutError, ValueError) as error:
             self._warn(f"goal aborted: {error}")
         finally:
             self._feedback = None
         if not self.context.ok():
             return Values.of(motion)  # Nobody can be told any more.
-        if motion is not None and order.is_reached(motion):
+        if motion is not None and order is not None and order.is_reached(motion):
             goal.succeed()
         elif goal.is_cancel_requested:
             goal.canceled()
@@ -361,6 +377,10 @@ def main() -> None:
         executor.spin()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
+    except RCLError:
+        # Ctrl-C can come just before rclpy waits again, which it then reports in this way.
+        if rclpy.ok():
+            raise
     except (KeyError, wsg_gateway.GatewayError) as error:
         sys.exit(f"wsg: {error}")
     finally:

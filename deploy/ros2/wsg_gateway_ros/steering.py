@@ -23,7 +23,8 @@ class Steering:
         """Begins sessions by these terms. `log` takes what a person has to know."""
         self._motions, self._terms, self._log = motions, terms, log
         self._timeout_s = terms["timeout_ms"] / 1000
-        self._heard_at = float("-inf")
+        self._heard_at = self._taken_at = float("-inf")
+        """Times of the newest message, and of the newest one with a target within the limits."""
         self._newest_mm = 0.0
         self._session: Session | None = None
         self._is_running = False
@@ -34,16 +35,14 @@ class Steering:
 
     def target(self, width_mm: float) -> None:
         """Takes a target. Never waits. Raises `ValueError` for a width that no gripper has."""
-        now = time.monotonic()
-        pause_s, self._heard_at = now - self._heard_at, now
-        self._newest_mm = width_mm
+        pause_s = self._pause_s()
+        self._newest_mm, self._taken_at = width_mm, self._heard_at
         if (session := self._session) is not None:
             try:
                 return session.target(width_mm)
             except ServoEnded as ended:
                 self._reason = ended.reason
-        # A Stop of somebody holds until the publisher pauses: its next target would otherwise follow a moment later.
-        self._is_fresh |= pause_s >= (self._timeout_s if self._reason == "silence" else max(self._timeout_s, PAUSE_S))
+        self._note_pause(pause_s)
         if not self._is_fresh or self._is_running:
             return
         self._is_fresh = False
@@ -53,6 +52,25 @@ class Steering:
             return self._log("targets are ignored while a goal or a service moves the gripper")
         self._is_running = True
         threading.Thread(target=self._run, args=[token], name="steering", daemon=True).start()
+
+    def ignored(self) -> None:
+        """Notes a target beyond the limits. It moves nothing, but its publisher has not paused."""
+        pause_s = self._pause_s()
+        if (session := self._session) is not None:
+            if session.ended is None:
+                return
+            self._reason = session.ended
+        self._note_pause(pause_s)
+
+    def _pause_s(self) -> float:
+        """Notes that a message has come, and returns the time since the one before."""
+        now = time.monotonic()
+        pause_s, self._heard_at = now - self._heard_at, now
+        return pause_s
+
+    def _note_pause(self, pause_s: float) -> None:
+        """A Stop of somebody holds until the publisher pauses: its next target would otherwise follow a moment later."""
+        self._is_fresh |= pause_s >= (self._timeout_s if self._reason == "silence" else max(self._timeout_s, PAUSE_S))
 
     def _run(self, token: object) -> None:
         try:
@@ -69,10 +87,11 @@ class Steering:
 
     def _steer(self, control: Control, token: object) -> str:
         """Steers until the session has ended, and returns why."""
-        if time.monotonic() > self._heard_at + self._timeout_s:
+        if time.monotonic() > self._taken_at + self._timeout_s:
             return "silence"
         with control.servo(**self._terms) as session:
-            self._session = session
+            # A pause before the session counts no more.
+            self._session, self._is_fresh = session, False
             self._log("steering begins")
             session.target(self._newest_mm)
             while session.ended is None and self._motions.is_newest(token):
