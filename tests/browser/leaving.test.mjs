@@ -139,6 +139,8 @@ test('following a link while the fingers move is the loss of the client, and Bac
   });
   assert.equal(stopped.fast_stop_cause, 'client_lost');
   assert.ok(Date.now() - left < 5000, `${Date.now() - left} ms`);
+  // A page that still loads cannot go back.
+  await page.waitForLoadState();
   await page.goBack({ waitUntil: 'commit' });
   await page.waitForSelector('.latch:has-text("was lost while the fingers moved")');
   assert.equal(await page.evaluate(() => globalThis.isSamePage), true, 'the browser kept the page');
