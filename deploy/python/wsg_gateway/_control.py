@@ -214,7 +214,7 @@ class ControlCore:
             command = await self._next(command, sending, generation)
         if command["outcome"] == "REFUSED":
             raise Refused({"code": command.get("code", "device_refused"), "detail": command.get("detail", ""), "status": 409})
-        return Motion.build(command)
+        return await self.core.result(command)
 
     async def _next(self, command: dict[str, Any], sending: Sending, generation: int) -> dict[str, Any]:
         """Returns what became of a running command."""

@@ -202,7 +202,7 @@ class Gripper(Reads):
 
     def stop(self) -> Motion:
         """Stops the fingers, whoever moves them. No FAST STOP is latched, and no lease is needed."""
-        return Motion.build(call(self._engine, self._core.stop(self.name)))
+        return call(self._engine, self._core.stop(self.name))
 
     def fast_stop(self, reason: str | None = None, timeout_s: float = 5.0) -> FastStop:
         """Triggers a FAST STOP on this gripper: see `Gateway.fast_stop`."""
@@ -213,7 +213,7 @@ class Gripper(Reads):
 
         Call it only when a person has removed the cause, and has made sure that nobody is near the fingers.
         """
-        self._request("acknowledge", fast_stop_id=fast_stop_id)
+        call(self._engine, self._core.acknowledge(self.name, fast_stop_id))
 
     def info(self) -> Info:
         """Reads what the gripper is, and its limits."""
