@@ -379,6 +379,17 @@ def test_records_as_columns(connect: Connect, gateway: Gateway) -> None:
         assert [record.seq for record in paged] == sorted(record.seq for record in paged)
 
 
+def test_record_of_a_grip_is_awaited(connect: Connect, gateway: Gateway) -> None:
+    with connect(gateway.url) as client, client["left"].control() as gripper:
+        gripper.release(60, 400)
+        grip = gripper.grip(20, 400, part_id="A-7")
+        with pytest.raises(Refused, match="not_found"):
+            client.records.curve(grip.id)
+        assert client.records.curve(grip.id, timeout_s=5).t_ms
+        assert client.records.grip(grip.id, timeout_s=5).part_id == "A-7"
+        gripper.release(60, 400)
+
+
 def test_unknown_outcome_says_so() -> None:
     motion = Motion.build({"kind": "grip", "gripper": "left", "outcome": "UNKNOWN"})
     with pytest.raises(UnexpectedOutcome, match="UNKNOWN: whether it was carried out is not known"):
