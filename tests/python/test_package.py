@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import importlib
 import json
 import subprocess
 import sys
@@ -388,6 +389,11 @@ def test_record_of_a_grip_is_awaited(connect: Connect, gateway: Gateway) -> None
         assert client.records.curve(grip.id, timeout_s=5).t_ms
         assert client.records.grip(grip.id, timeout_s=5).part_id == "A-7"
         gripper.release(60, 400)
+
+
+def test_missing_package_of_an_extra_is_named() -> None:
+    with pytest.raises(ImportError, match=r"openpi_client.*pip install 'wsg-gateway\[openpi\] @ http://GATEWAY:8080/python/wsg_"):
+        importlib.import_module("wsg_gateway.openpi")
 
 
 def test_unknown_outcome_says_so() -> None:
