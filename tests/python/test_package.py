@@ -319,6 +319,10 @@ def test_reads_after_a_call_show_its_fast_stop(connect: Connect, gateway: Gatewa
             assert gripper.state.fast_stop_id == motion.fast_stop_id
             gripper.acknowledge(motion.fast_stop_id)
             assert gripper.fast_stop_latched is False
+            gateway.post("/fast-stop")
+            with pytest.raises(Refused, match="fast_stop"):
+                gripper.move(50, 400)
+            assert gripper.fast_stop_latched
             stop = client.fast_stop()
             assert all(one.fast_stop_latched for one in client.grippers.values())
             for one in client.grippers.values():

@@ -189,6 +189,7 @@ class ControlCore:
         try:
             return await self.core.main.call(method, gripper=self.gripper, lease=self._token, **params)
         except Refused as refused:
+            await self.core.stop_shown(self.gripper, refused.fast_stop_id)
             if refused.code != "stale_lease":
                 raise
             self.lose("the gateway does not know it any more", refused.holder)

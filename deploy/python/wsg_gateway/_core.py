@@ -123,8 +123,8 @@ class Core:
         """Triggers a FAST STOP. A read after it shows this FAST STOP."""
         stop = await self._fast_stop(gripper, reason, timeout_s)
         if self.main.is_up:
-            for name in [gripper] if gripper else list(self.latest):
-                await self._shown(name, lambda state: is_latched(state, stop.id))
+            names = [gripper] if gripper else list(self.latest)
+            await asyncio.gather(*(self.stop_shown(name, stop.id) for name in names))
         return stop
 
     async def _fast_stop(self, gripper: str | None, reason: str | None, timeout_s: float) -> FastStop:
@@ -178,9 +178,13 @@ class Core:
     async def result(self, command: dict[str, Any]) -> Motion:
         """Builds the result of a motion. A read after it shows the FAST STOP that ended the motion."""
         motion = Motion.build(command)
-        if stop := motion.fast_stop_id:
-            await self._shown(motion.gripper, lambda state: is_latched(state, stop))
+        await self.stop_shown(motion.gripper, motion.fast_stop_id)
         return motion
+
+    async def stop_shown(self, gripper: str, fast_stop_id: str | None) -> None:
+        """Waits until the newest state shows a FAST STOP, if there was one."""
+        if fast_stop_id is not None:
+            await self._shown(gripper, lambda state: is_latched(state, fast_stop_id))
 
     async def acknowledge(self, gripper: str, fast_stop_id: str) -> None:
         """Acknowledges a FAST STOP. A read after it does not show this FAST STOP any more."""
