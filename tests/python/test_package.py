@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import importlib
 import json
 import subprocess
 import sys
@@ -16,6 +17,7 @@ import pytest
 from gateways import Gateway, freeze, running, thaw, until
 from wsg_gateway import (
     ControlLost,
+    Motion,
     Refused,
     StopUnconfirmed,
     UnexpectedOutcome,
@@ -296,10 +298,37 @@ def test_fast_stop_while_a_motion_is_awaited(connect: Connect, gateway: Gateway)
         assert stop.confirmed and time.monotonic() - started < 1
         thread.join()
         assert motion[0].outcome == "ABORTED" and motion[0].fast_stop_id == stop.id
+        with pytest.raises(UnexpectedOutcome, match=f"ABORTED by FAST STOP {stop.id}: remove its cause"):
+            motion[0].expect()
         with pytest.raises(Refused, match="fast_stop"):
             gripper.move(50)
-        until(lambda: gripper.fast_stop_latched)
+        assert gripper.fast_stop_latched
         gripper.acknowledge(stop.id)
+        assert gripper.fast_stop_latched is False
+
+
+@pytest.mark.parametrize("max_hz", [1, 50])
+def test_reads_after_a_call_show_its_fast_stop(connect: Connect, gateway: Gateway, max_hz: int) -> None:
+    with connect(gateway.url, max_hz=max_hz) as client, client["left"].control() as gripper:
+        for _ in range(3):
+            gripper.move(50, 400)
+            stopper = threading.Timer(0.2, gateway.post, ["/fast-stop"])
+            stopper.start()
+            motion = gripper.move(100, 20)
+            assert motion.outcome == "ABORTED" and gripper.fast_stop_latched
+            stopper.join()
+            assert gripper.state.fast_stop_id == motion.fast_stop_id
+            gripper.acknowledge(motion.fast_stop_id)
+            assert gripper.fast_stop_latched is False
+            gateway.post("/fast-stop")
+            with pytest.raises(Refused, match="fast_stop"):
+                gripper.move(50, 400)
+            assert gripper.fast_stop_latched
+            stop = client.fast_stop()
+            assert all(one.fast_stop_latched for one in client.grippers.values())
+            for one in client.grippers.values():
+                one.acknowledge(stop.id)
+                assert one.fast_stop_latched is False
 
 
 @pytest.mark.parametrize("lost", ["main", "both"])
@@ -354,6 +383,28 @@ def test_records_as_columns(connect: Connect, gateway: Gateway) -> None:
         assert columns([]) == {}
         paged = client.records.grips(None, kind="all", after=0)
         assert [record.seq for record in paged] == sorted(record.seq for record in paged)
+
+
+def test_record_of_a_grip_is_awaited(connect: Connect, gateway: Gateway) -> None:
+    with connect(gateway.url) as client, client["left"].control() as gripper:
+        gripper.release(60, 400)
+        grip = gripper.grip(20, 400, part_id="A-7")
+        with pytest.raises(Refused, match="not_found"):
+            client.records.curve(grip.id)
+        assert client.records.curve(grip.id, timeout_s=5).t_ms
+        assert client.records.grip(grip.id, timeout_s=5).part_id == "A-7"
+        gripper.release(60, 400)
+
+
+def test_missing_package_of_an_extra_is_named() -> None:
+    with pytest.raises(ImportError, match=r"openpi_client.*pip install 'wsg-gateway\[openpi\] @ http://GATEWAY:8080/python/wsg_"):
+        importlib.import_module("wsg_gateway.openpi")
+
+
+def test_unknown_outcome_says_so() -> None:
+    motion = Motion.build({"kind": "grip", "gripper": "left", "outcome": "UNKNOWN"})
+    with pytest.raises(UnexpectedOutcome, match="UNKNOWN: whether it was carried out is not known"):
+        motion.expect()
 
 
 def test_times_have_any_number_of_digits() -> None:

@@ -189,6 +189,7 @@ class ControlCore:
         try:
             return await self.core.main.call(method, gripper=self.gripper, lease=self._token, **params)
         except Refused as refused:
+            await self.core.stop_shown(self.gripper, refused.fast_stop_id)
             if refused.code != "stale_lease":
                 raise
             self.lose("the gateway does not know it any more", refused.holder)
@@ -214,7 +215,7 @@ class ControlCore:
             command = await self._next(command, sending, generation)
         if command["outcome"] == "REFUSED":
             raise Refused({"code": command.get("code", "device_refused"), "detail": command.get("detail", ""), "status": 409})
-        return Motion.build(command)
+        return await self.core.result(command)
 
     async def _next(self, command: dict[str, Any], sending: Sending, generation: int) -> dict[str, Any]:
         """Returns what became of a running command."""

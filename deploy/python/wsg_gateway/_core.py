@@ -17,7 +17,7 @@ from ._errors import GatewayError, Refused, StopUnconfirmed
 from ._link import Link
 from ._model import Model, OtherEvent, parse_time
 from ._stream import Queue
-from ._types import EVENTS, GripRecord, State
+from ._types import EVENTS, GripRecord, Motion, State
 
 logger = logging.getLogger("wsg_gateway")
 
@@ -30,6 +30,8 @@ NEVER_STOPS = ("unauthorized", "forbidden", "not_found")
 READ_S = 1.0
 # Ends of commands that came before anybody waited for them.
 KEPT_ENDS = 64
+# A pushed state that shows a result comes soon after it. If it does not, the state is read.
+SHOWN_S, LOOK_S = 0.2, 0.005
 
 
 @dataclass(frozen=True)
@@ -118,6 +120,14 @@ class Core:
         return await asyncio.get_running_loop().run_in_executor(threads, self.address.request, *arguments)
 
     async def fast_stop(self, gripper: str | None, reason: str | None, timeout_s: float) -> FastStop:
+        """Triggers a FAST STOP. A read after it shows this FAST STOP."""
+        stop = await self._fast_stop(gripper, reason, timeout_s)
+        if self.main.is_up:
+            names = [gripper] if gripper else list(self.latest)
+            await asyncio.gather(*(self.stop_shown(name, stop.id) for name in names))
+        return stop
+
+    async def _fast_stop(self, gripper: str | None, reason: str | None, timeout_s: float) -> FastStop:
         """Sends a FAST STOP over its own connection, and over new ones if that does not answer."""
         deadline = time.monotonic() + timeout_s
         path = f"/grippers/{gripper}/fast-stop" if gripper else "/fast-stop"
@@ -157,13 +167,39 @@ class Core:
             measured.append(ClockOffset(offset, max((came - sent) - (sent_at - received_at), 0) / 2 + 1e-6))
         return min(measured, key=lambda one: one.bound_s)
 
-    async def stop(self, gripper: str) -> dict[str, Any]:
+    async def stop(self, gripper: str) -> Motion:
         """Stops the fingers, and waits until the Stop has ended."""
         command = dict(await self.main.call("stop", gripper=gripper))
         while command["phase"] != "done":
             ended = await self.ended(command["id"], READ_S)
             command = ended or dict(await self.main.call("command", gripper=gripper, command=command["id"]))
-        return command
+        return await self.result(command)
+
+    async def result(self, command: dict[str, Any]) -> Motion:
+        """Builds the result of a motion. A read after it shows the FAST STOP that ended the motion."""
+        motion = Motion.build(command)
+        await self.stop_shown(motion.gripper, motion.fast_stop_id)
+        return motion
+
+    async def stop_shown(self, gripper: str, fast_stop_id: str | None) -> None:
+        """Waits until the newest state shows a FAST STOP, if there was one."""
+        if fast_stop_id is not None:
+            await self._shown(gripper, lambda state: is_latched(state, fast_stop_id))
+
+    async def acknowledge(self, gripper: str, fast_stop_id: str) -> None:
+        """Acknowledges a FAST STOP. A read after it does not show this FAST STOP any more."""
+        await self.main.call("acknowledge", gripper=gripper, fast_stop_id=fast_stop_id)
+        await self._shown(gripper, lambda state: state.fast_stop is False or state.fast_stop_id not in (None, fast_stop_id))
+
+    async def _shown(self, gripper: str, shows: Callable[[State], object]) -> None:
+        """Waits until the newest state shows what a call has returned."""
+        deadline = time.monotonic() + SHOWN_S
+        while gripper in self.latest and not shows(self.latest[gripper][0]):
+            if time.monotonic() >= deadline or not self.main.is_up:
+                with contextlib.suppress(GatewayError):
+                    self._stated(await self.main.call("state", READ_S, gripper=gripper))
+                return
+            await asyncio.sleep(LOOK_S)
 
     async def ended(self, command_id: str, timeout_s: float) -> dict[str, Any] | None:
         """Waits for the notification that a command has ended."""
@@ -282,6 +318,10 @@ class Core:
         for queue in tuple(self._queues.get(topic, ())):
             queue.drop(count, reason)
 
+
+def is_latched(state: State, fast_stop_id: str) -> bool:
+    """Whether a state shows a FAST STOP or a newer one. Newer ids are greater."""
+    return state.fast_stop is not False and (state.fast_stop_id or "") >= fast_stop_id
 
 
 def stopped(answer: dict[str, Any]) -> FastStop:

@@ -112,4 +112,8 @@ class UnexpectedOutcome(GatewayError):
         self.motion = motion
         """The motion with its outcome."""
         detail = f": {motion.detail}" if motion.detail else ""
+        if motion.fast_stop_id:
+            detail = f" by FAST STOP {motion.fast_stop_id}{detail}: remove its cause, then acknowledge it by this id"
+        elif motion.outcome == "UNKNOWN" and not motion.detail:
+            detail = ": whether it was carried out is not known"
         super().__init__(f"{motion.kind} of {motion.gripper} ended as {motion.outcome}{detail}")

@@ -51,6 +51,7 @@ class Result(Model):
         gripper: Any
         outcome: Any
         detail: Any
+        fast_stop_id: Any
 
     @property
     def ok(self) -> bool:

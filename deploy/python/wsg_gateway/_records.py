@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
+import time
 from typing import Any, cast
 from urllib.parse import quote
 
 from ._core import Core, event
+from ._errors import Refused
 from ._types import Curve, Event, GripRecord
 
 PAGE = 1000
+# Pause between two looks for a record.
+LOOK_S = 0.1
 
 
 class Records:
@@ -26,13 +31,24 @@ class Records:
         """Events, newest first, or those after a `seq`."""
         return [cast("Event", event(record)) for record in await self._all("events", limit, after, filters)]
 
-    async def grip(self, command_id: str) -> GripRecord:
+    async def grip(self, command_id: str, timeout_s: float) -> GripRecord:
         """One record."""
-        return GripRecord.build(await self._core.get(f"/grips/{quote(command_id, safe='')}"))
+        return GripRecord.build(await self._written(f"/grips/{quote(command_id, safe='')}", timeout_s))
 
-    async def curve(self, command_id: str) -> Curve:
+    async def curve(self, command_id: str, timeout_s: float) -> Curve:
         """The curve of a motion."""
-        return Curve.build(await self._core.get(f"/grips/{quote(command_id, safe='')}/curve"))
+        return Curve.build(await self._written(f"/grips/{quote(command_id, safe='')}/curve", timeout_s))
+
+    async def _written(self, path: str, timeout_s: float) -> Any:
+        """Reads something that may not be written yet."""
+        deadline = time.monotonic() + timeout_s
+        while True:
+            try:
+                return await self._core.get(path)
+            except Refused as refused:
+                if refused.code != "not_found" or time.monotonic() >= deadline:
+                    raise
+            await asyncio.sleep(LOOK_S)
 
     async def _all(self, name: str, limit: int | None, after: int | None, filters: dict[str, Any]) -> list[dict[str, Any]]:
         records: list[dict[str, Any]] = []

@@ -202,7 +202,7 @@ class Gripper(Reads):
 
     def stop(self) -> Motion:
         """Stops the fingers, whoever moves them. No FAST STOP is latched, and no lease is needed."""
-        return Motion.build(call(self._engine, self._core.stop(self.name)))
+        return call(self._engine, self._core.stop(self.name))
 
     def fast_stop(self, reason: str | None = None, timeout_s: float = 5.0) -> FastStop:
         """Triggers a FAST STOP on this gripper: see `Gateway.fast_stop`."""
@@ -213,7 +213,7 @@ class Gripper(Reads):
 
         Call it only when a person has removed the cause, and has made sure that nobody is near the fingers.
         """
-        self._request("acknowledge", fast_stop_id=fast_stop_id)
+        call(self._engine, self._core.acknowledge(self.name, fast_stop_id))
 
     def info(self) -> Info:
         """Reads what the gripper is, and its limits."""
@@ -469,13 +469,19 @@ class Records:
         filters = {"gripper": gripper, "part_id": part_id, "outcome": outcome, "kind": kind, "from": since, "to": until}
         return call(self._engine, self._records.grips(limit, after, filters))
 
-    def grip(self, command_id: str) -> GripRecord:
-        """Reads one record by the id of its motion. A grip's record appears a second after its end."""
-        return call(self._engine, self._records.grip(command_id))
+    def grip(self, command_id: str, timeout_s: float = 0.0) -> GripRecord:
+        """Reads one record by the id of its motion.
 
-    def curve(self, command_id: str) -> Curve:
-        """Reads the curve of a motion, whose fields are columns: `t_ms`, `width_mm`, `speed_mm_s`, `force_n`."""
-        return call(self._engine, self._records.curve(command_id))
+        A grip's record is written a second after its end: waits up to `timeout_s` for it, and then raises `Refused`.
+        """
+        return call(self._engine, self._records.grip(command_id, timeout_s))
+
+    def curve(self, command_id: str, timeout_s: float = 0.0) -> Curve:
+        """Reads the curve of a motion, whose fields are columns: `t_ms`, `width_mm`, `speed_mm_s`, `force_n`.
+
+        Waits like `grip`.
+        """
+        return call(self._engine, self._records.curve(command_id, timeout_s))
 
     def events(
         self,

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from airo_robots.awaitable_action import AwaitableAction
-from airo_robots.grippers.parallel_position_gripper import ParallelPositionGripper, ParallelPositionGripperSpecs
-
 from ._background import Background
 from ._errors import ValueUnknown
+from ._extra import needed_by
 from ._sync import Control
+
+with needed_by("airo"):
+    from airo_robots.awaitable_action import AwaitableAction
+    from airo_robots.grippers.parallel_position_gripper import ParallelPositionGripper, ParallelPositionGripperSpecs
 
 
 class WsgGripper(ParallelPositionGripper):

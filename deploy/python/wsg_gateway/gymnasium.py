@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, ClassVar
 
-import gymnasium
-import numpy as np
-from gymnasium.spaces import Box
-from numpy.typing import NDArray
-
 from ._errors import UnexpectedOutcome, ValueUnknown
+from ._extra import needed_by
 from ._sync import Control
 from ._types import Motion
+
+with needed_by("gymnasium"):
+    import gymnasium
+    import numpy as np
+    from gymnasium.spaces import Box
+    from numpy.typing import NDArray
 
 Values = NDArray[np.float32]
 

@@ -15,11 +15,13 @@ from datetime import datetime, timedelta, timezone
 from types import TracebackType
 from typing import Any
 
-from mcap_ros2.writer import Writer
-
+from ._extra import needed_by
 from ._model import Model
 from ._sync import Gateway, Stream
 from ._types import Curve, State
+
+with needed_by("mcap"):
+    from mcap_ros2.writer import Writer
 
 STATE = """# State of a gripper. NaN and empty texts are not known.
 float64 width_mm

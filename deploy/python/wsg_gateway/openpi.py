@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-from openpi_client.runtime.environment import Environment
-
 from ._background import Background
 from ._errors import ValueUnknown
+from ._extra import needed_by
 from ._sync import Control
+
+with needed_by("openpi"):
+    import numpy as np
+    from openpi_client.runtime.environment import Environment
 
 
 class GripperEnvironment(Environment):
