@@ -33,6 +33,20 @@ impl Rig {
     }
 }
 
+/// A gripper that has got a grip, and not answered it, right after the end of a session.
+fn gripping_after_a_session() -> Rig {
+    let mut rig = steered();
+    rig.aim(30.0).unwrap();
+    rig.steer(Steer::Stop).unwrap();
+    rig.device.held = [id::GRIP].into();
+    let width = Width::new(20.0).unwrap();
+    let speed = Speed::new(50.0).unwrap();
+    let grip = Motion::Grip { width, speed, force: None, part_id: None, recipe: None, is_reference: false };
+    rig.submit_by("another", Action::Motion(grip)).unwrap();
+    rig.pass_moving(60);
+    rig
+}
+
 #[test]
 fn fingers_that_show_late_that_they_move_are_stopped_at_once() {
     let mut rig = unsteered(ServoAdapter::WidthSpeed);
@@ -81,15 +95,7 @@ fn repeated_stop_ends_a_session_that_holds_a_part() {
 
 #[test]
 fn end_of_a_session_does_not_stop_the_next_motion() {
-    let mut rig = steered();
-    rig.aim(30.0).unwrap();
-    rig.steer(Steer::Stop).unwrap();
-    rig.device.held = [id::GRIP].into();
-    let width = Width::new(20.0).unwrap();
-    let speed = Speed::new(50.0).unwrap();
-    let grip = Motion::Grip { width, speed, force: None, part_id: None, recipe: None, is_reference: false };
-    rig.submit_by("another", Action::Motion(grip)).unwrap();
-    rig.pass_moving(60);
+    let mut rig = gripping_after_a_session();
     rig.reply(id::GRIP, Status::E_CMD_PENDING, &[]);
     rig.pass_moving(500);
     rig.reply(id::GRIP, Status::E_SUCCESS, &[]);
@@ -99,15 +105,7 @@ fn end_of_a_session_does_not_stop_the_next_motion() {
 
 #[test]
 fn fingers_that_move_on_are_stopped_although_a_motion_was_refused() {
-    let mut rig = steered();
-    rig.aim(30.0).unwrap();
-    rig.steer(Steer::Stop).unwrap();
-    rig.device.held = [id::GRIP].into();
-    let width = Width::new(20.0).unwrap();
-    let speed = Speed::new(50.0).unwrap();
-    let grip = Motion::Grip { width, speed, force: None, part_id: None, recipe: None, is_reference: false };
-    rig.submit_by("another", Action::Motion(grip)).unwrap();
-    rig.pass_moving(60);
+    let mut rig = gripping_after_a_session();
     assert_eq!((rig.count(id::GRIP), rig.count(id::STOP)), (1, 1));
     rig.reply(id::GRIP, Status::E_ALREADY_RUNNING, &[]);
     rig.pass_moving(100);
