@@ -189,7 +189,8 @@ def test_wrong_targets_are_no_pause(cell: Cell, nodes: Nodes, wrong: float) -> N
 
 
 def test_wrong_targets_end_the_session(cell: Cell, nodes: Nodes) -> None:
-    steering = publisher(nodes, speed=0.01)
+    # So slow that the fingers are far from the target after the timeout.
+    steering = publisher(nodes, speed=0.005)
     steering.position = [0.0]
     until(lambda: width_mm(cell) < 59)
     steering.position = [-0.01]
