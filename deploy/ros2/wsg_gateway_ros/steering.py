@@ -70,7 +70,9 @@ class Steering:
 
     def _note_pause(self, pause_s: float) -> None:
         """A Stop of somebody holds until the publisher pauses: its next target would otherwise follow a moment later."""
-        self._is_fresh |= pause_s >= (self._timeout_s if self._reason == "silence" else max(self._timeout_s, PAUSE_S))
+        # The gateway counts silence from the newest target that it accepted, which can be a little older.
+        silence_s = 0.9 * self._timeout_s
+        self._is_fresh |= pause_s >= (silence_s if self._reason == "silence" else max(self._timeout_s, PAUSE_S))
 
     def _run(self, token: object) -> None:
         try:
